@@ -55,4 +55,5 @@ NOISE_NOT_ASSESSED: Final = 255
 """Values of the delivered extra byte ``noise_class``."""
 
 FOOT_M: Final = 0.3048
-"""An international foot; a US survey foot is 2 parts in a million longer [m]."""
+US_FOOT_M: Final = 1200.0 / 3937.0
+"""An international foot, and a US survey foot, 2 parts in a million longer [m]."""

@@ -1,10 +1,10 @@
 """Small surveys for whole runs, and ways to look at what a run has written."""
 
 import contextlib
-import fcntl
 import io
 import os
 import shutil
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,6 +19,7 @@ from pyproj import CRS
 
 from spl_batch import api
 from spl_batch.cli import main
+from spl_batch.formats.files.locks import lock
 
 Columns = dict[str, NDArray[Any]]
 
@@ -130,6 +131,22 @@ def write_cloud(
         if n:
             writer.write_points(points)
     return path
+
+
+def in_feet(path: Path, target: Path, crs: str, units_m: Sequence[float]) -> Path:
+    """The same cloud in another CRS: raw coordinates stay, scale and offset are divided."""
+    las = laspy.read(path)
+    raw = {axis: np.array(las[axis]) for axis in "XYZ"}
+    las.header.vlrs = [v for v in las.header.vlrs if v.user_id != "LASF_Projection"]
+    las.header.scales = np.array(las.header.scales) / units_m
+    las.header.offsets = np.array(las.header.offsets) / units_m
+    las.header.add_crs(CRS.from_user_input(crs))
+    las.points.scales, las.points.offsets = las.header.scales, las.header.offsets
+    for axis, values in raw.items():
+        las.points.array[axis] = values
+    target.parent.mkdir(parents=True, exist_ok=True)
+    las.write(target)
+    return target
 
 
 def write_trajectory(
@@ -272,6 +289,14 @@ def point_rows(columns: Columns, names: Sequence[str]) -> NDArray[Any]:
     return np.sort(np.rec.fromarrays([columns[k] for k in names], names=",".join(names)))
 
 
+def wait_for(stream: io.TextIOWrapper) -> None:
+    """Hold a lock on a file, once no other process does."""
+    while True:
+        with contextlib.suppress(BlockingIOError):
+            return lock(stream)
+        time.sleep(0.02)
+
+
 def made_once(places: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
     """A folder for all processes of pytest-xdist, into which nobody may write.
 
@@ -289,8 +314,8 @@ def made_once(places: pytest.TempPathFactory, name: str, make: Callable[[Path], 
     if "PYTEST_XDIST_WORKER" in os.environ:
         place = place.parent
     folder, done = place / name, place / f"{name}.done"
-    with (place / f"{name}.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    with (place / f"{name}.lock").open("w") as held:
+        wait_for(held)
         if not done.exists():
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir()

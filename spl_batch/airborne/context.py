@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.tasks.context import RunContext
+from spl_batch.formats.units import Units
 from spl_batch.formats.vector_files import contains, read_polygons
 from spl_batch.lattice.tiles import quanta
 
@@ -15,6 +16,11 @@ from spl_batch.lattice.tiles import quanta
 @dataclass(frozen=True, slots=True)
 class Context(RunContext[Workflow]):
     """What a run on an airborne survey is."""
+
+    @property
+    def units(self) -> Units:
+        """Units of the survey's CRS: of what is read and delivered; work is done in metres."""
+        return Units.of(self.crs)
 
     @property
     def rasters(self) -> Path:

@@ -100,6 +100,8 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "local": "the CRS that files name, {crs}, does not say where on earth it is",
                 "vertical": "no vertical CRS in the file; its heights are taken as {crs}, as of "
                 "others",
+                "unit": "nothing states the unit of heights; they are taken in {unit}, as "
+                "eastings are",
             },
             "rasters and clouds name none, or that one, or that of others",
             "write `crs: EPSG:...` or `vertical_crs: EPSG:...` under survey",
@@ -308,7 +310,8 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "checkpoint {error_cm:.1f} cm; they count in every RMSE, so correct them, or look "
                 "at the terrain there",
                 "feet": "the heights of {count} checkpoints are {ratio:.3f} times those of the "
-                "terrain, as heights in feet are: give them in metres",
+                "terrain, as where one is in feet and the other in metres: name the CRS of their "
+                "heights, reference.checkpoints_crs: EPSG:...+5703",
             },
             noun="file",
         ),

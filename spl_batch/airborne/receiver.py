@@ -4,7 +4,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
-from spl_batch.airborne.catalogue.delivered_files import INDEX, STAC, VIRTUAL
+from spl_batch.airborne.catalogue.delivered_files import (
+    CLIENT_TILES,
+    CONTOURS,
+    INDEX,
+    STAC,
+    VIRTUAL,
+)
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.lines.comparison import (
     done_sentence,
@@ -56,8 +62,8 @@ class Imaging(Receiver[Survey, Context]):
     workflow: ClassVar[type[BaseWorkflow]] = Workflow
     noun: ClassVar[str] = "airborne survey"
     delivered: ClassVar[tuple[str, ...]] = (
-        *("laz/**/*", "tiles/*", "copc/**/*", f"{STAC}/*.json"),
-        *(VIRTUAL, INDEX),
+        *("laz/**/*", "tiles/*", "copc/**/*", "reprojected/**/*", f"{STAC}/*.json"),
+        *(VIRTUAL, INDEX, CONTOURS, f"{CLIENT_TILES}/*"),
         *(f"{p.name}.tif" for p in (*PRODUCTS, *ABOVE_GEOID) if p.delivered),
     )
 

@@ -20,7 +20,10 @@ _TIME: Final = (
 )
 """How many returns may go with the afterpulses is decided later, in the space domain."""
 
-_CLASSES: Final = ("outputs.classes", "classes.overlap", "classes.withheld")
+_CLASSES: Final = (
+    *("outputs.classes", "classes.overlap", "classes.withheld"),
+    *("outputs.drop", "outputs.height_above_ground"),
+)
 
 
 _HOME: Final = "spl_batch.airborne"
@@ -240,6 +243,37 @@ STEPS: Final[Steps] = table(
         settings=("outputs.geoid",),
         after=("mosaic",),
     ),
+    _delivery(
+        "reproject_file",
+        run="tasks.reprojection:reproject_file",
+        tasks="reprojection_tasks:files",
+        settings=("outputs.crs",),
+        unit="file",
+        after=("deliver_file",),
+    ),
+    _delivery(
+        "reproject_raster",
+        run="tasks.reprojection:reproject_raster",
+        tasks="reprojection_tasks:rasters",
+        settings=("outputs.crs", "outputs.cell", "products.cell_m"),
+        after=("mosaic",),
+    ),
+    _delivery(
+        "deliver_contours",
+        run="tasks.client_tiles:deliver_contours",
+        tasks="client_tasks:contours",
+        after=("mosaic",),
+    ),
+    _delivery(
+        "deliver_client_tile",
+        run="tasks.client_tiles:deliver_client_tile",
+        tasks="client_tasks:client_tiles",
+        settings=("outputs.client_tiles.format",),
+        unit="client's tile",
+        bytes_per_point=280,
+        remedy="set outputs.client_tiles.format: laz",
+        after=("deliver_file", "mosaic", "deliver_geoid", "align"),
+    ),
     _step(
         "accuracy",
         "report",
@@ -267,7 +301,7 @@ STEPS: Final[Steps] = table(
         "report",
         "tasks.delivery:deliver_catalogue",
         tasks="space_tasks:catalogue",
-        settings=("survey.name",),
+        settings=tuple(f"survey.{key}" for key in ("name", "organisation", "contact", "licence")),
         delivers=True,
     ),
 )

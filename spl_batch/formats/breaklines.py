@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from spl_batch.errors import InputError
-from spl_batch.formats.crs import crs_name, other_heights
+from spl_batch.formats.crs import crs_name, heights_ratio, other_heights
+from spl_batch.formats.units import Units
 from spl_batch.formats.vector_files import LINES, POLYGONS, Layer, in_crs, read_layers
 
 HEIGHT_FIELDS: Final = ("z", "height", "elevation")
@@ -47,16 +48,16 @@ class Water:
 
 
 def read_breaklines(path: Path, crs: CRS | None) -> list[Water]:
-    """Lakes and rivers of a file, in the order of its layers and features.
+    """Lakes and rivers of a file in metres, in the order of its layers and features.
 
     ``path``: a GeoPackage or another vector file; every layer is taken.
 
     Raises
     ------
     InputError
-        With all faults of the file: a damaged shape, none of its polygons, no CRS, units other
-        than metres, heights of another vertical datum, a polygon without one height and without a
-        line.
+        With all faults of the file: a damaged shape, none of its polygons, no CRS, another unit
+        than the survey's, heights of another vertical datum, a polygon without one height and
+        without a line.
     """
     names: list[str] = []
     parts: list[Geometries] = []
@@ -65,7 +66,7 @@ def read_breaklines(path: Path, crs: CRS | None) -> list[Water]:
         _refuse_other_heights(path, layer.crs, crs)
         names += [f"{layer.name} {k}" for k in range(1, len(layer.shapes) + 1)]
         parts.append(in_crs(path, layer.shapes, layer.crs, crs, heights=True))
-        fields.append(_heights(layer))
+        fields.append(_heights(layer) * Units.of(crs).vertical_m)
     if not parts:
         raise InputError(str(path), "holds no polygons of water; draw some or remove the key")
     shapes, height = np.concatenate(parts), np.concatenate(fields)
@@ -95,14 +96,13 @@ def _heights(layer: Layer) -> Heights:
 
 
 def _refuse_other_heights(path: Path, own: str | None, crs: CRS | None) -> None:
-    """Refuse heights, which are not converted, in feet or above another vertical datum."""
+    """Refuse heights in another unit than the survey's, or above another vertical datum."""
     if own is None:
         return
     theirs = CRS.from_user_input(own)
-    axes = theirs.axis_info[2:] if theirs.is_geographic else theirs.axis_info
-    units = {axis.unit_name for axis in axes if axis.unit_conversion_factor != 1.0}
-    if units:
-        text = f"its CRS {crs_name(theirs)} is in {' and '.join(sorted(units))}, not in metres"
+    if heights_ratio(theirs, crs) != 1.0:
+        unit, ours = Units.of(theirs).vertical, Units.of(crs).vertical
+        text = f"its CRS {crs_name(theirs)} is in {unit}, the survey's heights are in {ours}"
         raise InputError(str(path), f"{text}: transform it, its heights as well")
     if crs is not None and (others := other_heights(theirs, crs)):
         raise InputError(str(path), f"its {others}: transform them")

@@ -1,4 +1,4 @@
-"""Checkpoints of a field survey: CSV or any vector format, in the survey's CRS.
+"""Checkpoints of a field survey: CSV or any vector format, on the axes of the survey's CRS.
 
 A checkpoint is a place whose height was measured better than the product's. A fault leaves out that
 checkpoint alone, in a sentence that names it.
@@ -18,7 +18,8 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from spl_batch.errors import InputError, as_input_fault, counted, named
-from spl_batch.formats.crs import crs_name, horizontal, other_heights, same_crs
+from spl_batch.formats.crs import crs_name, heights_ratio, horizontal, other_heights, same_crs
+from spl_batch.formats.units import Units
 from spl_batch.formats.vector_files import all_layers
 
 Surface = Literal["open", "vegetated"]
@@ -46,7 +47,7 @@ class Checkpoint:
     """A place of known height."""
 
     id: str  #: Its name in the field survey.
-    #: x_m, y_m, z_m: easting, northing and height in the survey's CRS [m].
+    #: x_m, y_m, z_m: easting, northing and height in the survey's CRS, converted to metres [m].
     x_m: float
     y_m: float
     z_m: float
@@ -61,7 +62,7 @@ _Row = dict[str, Any]
 def read_checkpoints(
     path: Path, crs: CRS | None, own: CRS | None = None, accuracy_m: float | None = None
 ) -> tuple[list[Checkpoint], list[str]]:
-    """Checkpoints of a file in the survey's CRS.
+    """Checkpoints of a file on the axes of the survey's CRS, in metres.
 
     Parameters
     ----------
@@ -99,6 +100,8 @@ def read_checkpoints(
         rows = [{**row, "surface": "open"} for row in rows]
     kept = _checked(rows, accuracy_m, remarks)
     moved = _in_crs(path, kept, crs, own, remarks)
+    to_m = np.array(Units.of(crs).xyz_m)
+    moved = [{**row, "xyz": (np.array(row["xyz"]) * to_m).tolist()} for row in moved]
     found = [
         Checkpoint(row["id"], x, y, z, row["surface"], row["accuracy_m"])
         for row in _once(moved, remarks)
@@ -236,10 +239,21 @@ def _in_crs(
             remarks.append(_left_out([placed.pop(k)["id"] for k in members], why))
             continue
         heights = source is not None and crs is not None and other_heights(source, crs)
-        if source is None or crs is None or (same_crs(source, crs) and not heights):
+        if source is None or crs is None:
+            continue
+        ratio = heights_ratio(source, crs)
+        if ratio is None:
+            unit, ours = Units.of(source).horizontal, Units.of(crs).horizontal
+            raise InputError(
+                str(path),
+                f"is in {unit} by {crs_name(source)}, the survey in {ours}, and nothing states the "
+                "unit of its heights: name their CRS as well, e.g. EPSG:2278+6360",
+            )
+        if same_crs(source, crs) and not heights and ratio == 1.0:
             continue
         whence = f"from {crs_name(source)} to {crs_name(crs)}"
         xyz = np.array([rows[k]["xyz"] for k in members], float)
+        xyz[:, 2] *= 1.0 if heights else ratio
         lost = []
         for k, moved in zip(members, _transformed(path, source, crs, xyz), strict=True):
             placed[k] = {**rows[k], "xyz": moved.tolist()}
@@ -248,7 +262,8 @@ def _in_crs(
         if lost:
             remarks.append(_left_out(lost, f"they cannot be transformed {whence}"))
         if count := len(members) - len(lost):
-            how = "heights too" if heights else "heights are taken as they are"
+            how = "heights are taken as they are" if ratio == 1.0 else "heights by their unit"
+            how = "heights too" if heights else how
             remarks.append(f"{counted(count, 'checkpoints', 'are')} transformed {whence}; {how}")
     return list(placed.values())
 
@@ -261,7 +276,9 @@ def _transformed(
     ends = (source, crs) if whole else (horizontal(source), horizontal(crs))
     try:
         # Without the grid of a geoid PROJ would leave heights as they are and keep silent.
-        transformer = Transformer.from_crs(*ends, always_xy=True, only_best=whole)
+        transformer = Transformer.from_crs(
+            *ends, always_xy=True, only_best=whole, allow_ballpark=not whole
+        )
         x, y, z = xyz.T
         x, y, z = transformer.transform(x, y, z, errcheck=whole and len(xyz) == 1)
     except ProjError as error:

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 import rasterio
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from PIL import Image, TiffTags
 from PIL.TiffImagePlugin import ImageFileDirectory_v2
 from pyproj import CRS, Proj
@@ -18,6 +18,7 @@ from rasterio.errors import RasterioError, RasterioIOError
 from rasterio.io import MemoryFile
 
 from spl_batch.errors import WorkflowError
+from spl_batch.formats.units import Units, metres_in
 
 WKT_KEY: Final = ("LASF_Projection", 2112)
 GEO_KEYS: Final = (
@@ -69,7 +70,7 @@ def parse_crs(text: str, key: str) -> CRS:
 def projected_crs(text: str | None, key: str, faults: list[str]) -> CRS | None:
     """CRS in metres that a user names; none where none is named, or it has a fault.
 
-    ``faults``: its fault is added to it.
+    ``faults``: its fault is added to it; for receivers that take metres alone.
     """
     if text is None:
         return None
@@ -78,7 +79,11 @@ def projected_crs(text: str | None, key: str, faults: list[str]) -> CRS | None:
     except WorkflowError as error:
         faults.append(str(error))
         return None
-    faults += [f"{key}: {problem}" for problem in crs_problems(crs)]
+    units = Units.of(crs)
+    unit = units.vertical if units.horizontal_m == 1.0 else units.horizontal
+    other = [f"CRS {crs_name(crs)} is in {unit}, not in metres: name one that is"]
+    found = crs_problems(crs) or other * (not units.are_metres)
+    faults += [f"{key}: {problem}" for problem in found]
     return crs
 
 
@@ -108,7 +113,9 @@ def crs_from_geotiff(directory: bytes, doubles: bytes, text: bytes) -> CRS | Non
     if found is not None and _above_ellipsoid(_entries(directory)):
         return horizontal(found).to_3d()
     heights = None if found is None else vertical(found)
-    if found is None or _not_metres(found) or (heights is not None and heights.to_epsg()):
+    if found is None or not Units.of(found).are_metres:
+        return found
+    if heights is not None and heights.to_epsg():
         return found
     named = _named_heights(_entries(directory))
     if named is not None:  # GDAL leaves it out beside a local CRS
@@ -197,13 +204,11 @@ def with_vertical(crs: CRS | None, text: str, key: str) -> CRS:
     Raises
     ------
     WorkflowError
-        If it is no vertical CRS in metres, contradicts the files, or there is none to complete.
+        If it is no vertical CRS, contradicts the files, or there is none to complete.
     """
     named = parse_crs(text, key)
     if not named.is_vertical:
         raise WorkflowError(f"{key}: {crs_name(named)} is no vertical CRS; write e.g. EPSG:5703")
-    if any(axis.unit_conversion_factor != 1.0 for axis in named.axis_info):
-        raise WorkflowError(f"{key}: {crs_name(named)} is not in metres; write one that is")
     if turned := _turned(named):
         raise WorkflowError(f"{key}: {turned}")
     if crs is None:
@@ -214,7 +219,8 @@ def with_vertical(crs: CRS | None, text: str, key: str) -> CRS:
             f"{key}: the files say {crs_name(found)}, not {crs_name(named)}; leave the key out, or "
             "correct the files"
         )
-    return crs if found is not None else compound(crs, named)
+    known = found is not None and found.name not in NAMELESS
+    return crs if known else compound(crs, named)
 
 
 def compound(crs: CRS, heights: CRS) -> CRS:
@@ -226,13 +232,15 @@ def compound(crs: CRS, heights: CRS) -> CRS:
 def same_heights(a: CRS, b: CRS) -> bool:
     """Whether two vertical CRS have the same datum and unit, whatever their names.
 
-    Files often name the model of a geoid beside the datum that it realises.
+    Files often name the model of a geoid beside the datum that it realises, or a unit alone.
     """
     if a.equals(b) or (a.to_epsg() is not None and a.to_epsg() == b.to_epsg()):
         return True
-    units = [[axis.unit_conversion_factor for axis in crs.axis_info] for crs in (a, b)]
+    if Units.of(a).vertical_m != Units.of(b).vertical_m:
+        return False
     datums = [None if crs.datum is None else crs.datum.name for crs in (a, b)]
-    return datums[0] is not None and datums[0] == datums[1] and units[0] == units[1]
+    alike = datums[0] is not None and datums[0] == datums[1]
+    return alike or bool({a.name, b.name} & {*NAMELESS})
 
 
 def other_heights(found: CRS, survey: CRS) -> str:
@@ -241,6 +249,18 @@ def other_heights(found: CRS, survey: CRS) -> str:
     if one is None or other is None or same_heights(one, other):
         return ""
     return f"heights are {crs_name(one)}, the survey's {crs_name(other)}"
+
+
+def heights_ratio(found: CRS, survey: CRS | None) -> float | None:
+    """Units of the survey's heights in one of those of a CRS.
+
+    Heights without a unit of their own are the survey's, but where eastings are in another unit
+    than the survey's: then nothing tells, and it is None.
+    """
+    mine, ours = Units.of(found), Units.of(survey)
+    if vertical(found) is not None or len(found.axis_info) > 2:
+        return mine.vertical_m / ours.vertical_m
+    return 1.0 if found.is_geographic or mine.horizontal_m == ours.horizontal_m else None
 
 
 def same_crs(a: CRS, b: CRS) -> bool:
@@ -273,12 +293,13 @@ def crs_problems(crs: CRS) -> list[str]:
         return [f"{fault}: {remedy}"]
     flat = horizontal(crs)
     if flat.is_geographic:
-        fault = f"CRS {crs_name(crs)} is geographic (degrees), coordinates must be in metres"
+        fault = f"CRS {crs_name(crs)} is geographic (degrees), coordinates must be projected"
         return [f"{fault}: reproject the files to a projected CRS, e.g. UTM"]
+    units = Units.of(crs)
     faults = [
-        f"CRS {crs_name(crs)} has {' and '.join(names)} in {unit}, not in metres:"
-        " reproject the files to a CRS in metres"
-        for unit, names in _not_metres(crs).items()
+        f"CRS {crs_name(crs)} is in {unit}, which is no unit of metres or feet: reproject the files"
+        for unit in dict.fromkeys((units.horizontal, units.vertical))
+        if not 0.0 < (metres_in(unit) or 0.0) <= 1.0
     ]
     if _is_world_mercator(flat):
         faults.append(_stretches(crs, "1/cos(latitude)"))
@@ -305,13 +326,13 @@ def _stretches(crs: CRS, by: str) -> str:
     )
 
 
-def stretch_problem(crs: CRS, places_m: Sequence[Sequence[float]]) -> list[str]:
+def stretch_problem(crs: CRS, places_m: ArrayLike) -> list[str]:
     """Why a projection is not for these places, (n, 2) [m]; none where it is."""
     lengths, _ = scale_there(crs, places_m)
     return [_stretches(crs, f"{lengths:.2f}")] if abs(lengths - 1.0) > LENGTHS_APART else []
 
 
-def scale_there(crs: CRS, places_m: Sequence[Sequence[float]]) -> tuple[float, float]:
+def scale_there(crs: CRS, places_m: ArrayLike) -> tuple[float, float]:
     """Scale of lengths, which is farthest from 1, and of areas, at the truest of some places.
 
     ``places_m``: (n, 2), corners of a survey, of which one may lie astray [m]. Both scales are 1
@@ -320,7 +341,7 @@ def scale_there(crs: CRS, places_m: Sequence[Sequence[float]]) -> tuple[float, f
     flat, found = horizontal(crs), []
     if not flat.is_projected:
         return 1.0, 1.0
-    for x, y in places_m:
+    for x, y in np.asarray(places_m, np.float64).reshape(-1, 2) / Units.of(crs).horizontal_m:
         try:
             projection = Proj(flat)
             there = projection.get_factors(*projection(x, y, inverse=True, errcheck=True))
@@ -330,15 +351,6 @@ def scale_there(crs: CRS, places_m: Sequence[Sequence[float]]) -> tuple[float, f
         found.append((max(both, key=lambda scale: abs(scale - 1.0)), there.areal_scale))
     known = [scales for scales in found if np.isfinite(scales).all()]
     return min(known, key=lambda scales: abs(scales[0] - 1.0), default=(1.0, 1.0))
-
-
-def _not_metres(crs: CRS) -> dict[str, list[str]]:
-    """Names of the axes in other units than metres, by unit."""
-    units: dict[str, list[str]] = {}
-    for axis in crs.axis_info:
-        if axis.unit_conversion_factor != 1.0:
-            units.setdefault(axis.unit_name, []).append(axis.name)
-    return units
 
 
 def _is_world_mercator(flat: CRS) -> bool:

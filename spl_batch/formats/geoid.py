@@ -12,6 +12,7 @@ from pyproj.exceptions import ProjError
 
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.crs import crs_name, horizontal, vertical, with_vertical
+from spl_batch.formats.units import Units
 
 KEY: Final = "outputs.geoid.grid"
 
@@ -66,12 +67,13 @@ class Geoid:
                 f"{KEY}: {grid} is no grid that PROJ can read, neither as {file} nor in its data "
                 f"folder {get_data_dir()}; put it there, or give its path"
             ) from None
-        self._flat = horizontal(crs)
+        self._flat, self._units = horizontal(crs), Units.of(crs)
         self._place = Transformer.from_crs(self._flat, self._flat.geodetic_crs, always_xy=True)
 
     def heights(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Height above the ellipsoid at places in the survey's CRS, NaN beyond the grid [m]."""
-        east, north = self._place.transform(x, y)
+        """Height above the ellipsoid at places of the survey [m], NaN beyond the grid [m]."""
+        unit_m = self._units.horizontal_m
+        east, north = self._place.transform(x / unit_m, y / unit_m)
         *_, height = self._heights.transform(east, north, np.zeros(len(x)))
         return np.where(np.isfinite(height), height, np.nan)
 
@@ -81,8 +83,12 @@ class Geoid:
         Raises
         ------
         WorkflowError
-            If what is named is no vertical CRS in metres.
+            If what is named is no vertical CRS in the unit of the survey's heights.
         """
         if vertical_crs is None:
             return self._flat
-        return with_vertical(self._flat, vertical_crs, "outputs.geoid.crs")
+        key, unit = "outputs.geoid.crs", self._units.vertical
+        found = with_vertical(self._flat, vertical_crs, key)
+        if Units.of(found).vertical != unit:
+            raise WorkflowError(f"{key}: {vertical_crs} is not in {unit}, as heights are; name one")
+        return found

@@ -22,6 +22,7 @@ from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import InputError, as_input_fault, named
 from spl_batch.formats.crs import crs_name, horizontal, same_crs
 from spl_batch.formats.las.header import open_input
+from spl_batch.formats.units import Units
 
 COORDINATE_MAX: Final = 1e9
 """No projection has coordinates beyond, in metres, feet or degrees."""
@@ -166,7 +167,7 @@ def _as_one_line(path: Path) -> Iterator[None]:
 def in_crs(
     path: Path, shapes: Geometries, own: str | None, crs: CRS | None, *, heights: bool = False
 ) -> Geometries:
-    """Shapes of a file in another CRS.
+    """Shapes of a file on the axes of another CRS, in metres.
 
     Parameters
     ----------
@@ -177,7 +178,7 @@ def in_crs(
     own, crs : str and CRS, or None
         The file's CRS and the one that is wanted; without both, shapes are as they are.
     heights : bool
-        Whether heights are kept, as they are.
+        Whether heights are kept; they are in that CRS's unit.
 
     Raises
     ------
@@ -196,13 +197,16 @@ def in_crs(
         raise InputError(
             str(path), f"is in {crs_name(source)}, the survey has no CRS: name it in survey.crs"
         )
-    if same_crs(source, crs):
+    units, known = Units.of(crs), same_crs(source, crs)
+    if known and units.are_metres:
         return shapes
     transformer = Transformer.from_crs(horizontal(source), horizontal(crs), always_xy=True)
 
     def move(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
-        xy = transformer.transform(xyz[:, 0], xyz[:, 1], errcheck=True)
-        return np.column_stack([*xy, xyz[:, 2:]])
+        x, y = xyz[:, 0], xyz[:, 1]
+        if not known:
+            x, y = transformer.transform(x, y, errcheck=True)
+        return units.metres(np.column_stack([x, y, xyz[:, 2:]]))
 
     try:
         moved: Geometries = shapely.transform(shapes, move, include_z=heights)
@@ -223,12 +227,12 @@ def check_polygons(path: Path, crs: CRS | None) -> Geometries:
     path : Path
         Any vector format that GDAL reads; every layer is taken.
     crs : CRS or None
-        CRS of the result; none is only good for a file without a CRS.
+        CRS whose axes the result has; none is only good for a file without a CRS.
 
     Returns
     -------
     (n,) ndarray of Geometry
-        Each valid, in ``crs``; they may overlap.
+        Each valid, in metres; they may overlap.
 
     Raises
     ------

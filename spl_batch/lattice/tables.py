@@ -58,6 +58,7 @@ COLUMNS: Final[Mapping[str, Column]] = MappingProxyType(
         "ground": Column(np.uint8, "", "1 on the terrain, else 0"),
         "classification": Column(np.uint8, "", "ASPRS class as delivered"),
         "set_flags": Column(np.uint8, "", "LAS flags that are set: 4 withheld, 8 overlap"),
+        "HeightAboveGround": Column(np.float32, "", "height above the terrain as delivered"),
     }
 )
 """Every column that a table may have."""

@@ -89,6 +89,31 @@ def test_another_crs_is_transformed_and_an_unknown_one_left_out(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
+    ("file", "survey", "z_m"),
+    [
+        ("", "EPSG:2278+6360", 100 * 1200 / 3937),
+        ("EPSG:2278+5703", "EPSG:2278+6360", 100.0),
+        ("EPSG:2278", "EPSG:2278+5703", 100.0),
+        ("EPSG:2278+6360", "EPSG:32140", 100 * 1200 / 3937),
+        ("EPSG:2278", "EPSG:32140", None),
+    ],
+)
+def test_feet_are_converted_by_the_unit_that_is_stated_and_refused_without(
+    tmp_path: Path, file: str, survey: str, z_m: float | None
+) -> None:
+    path, crs = tmp_path / "c.csv", CRS.from_user_input(survey)
+    path.write_text(f"id,x,y,z,crs\nA,3100000,13800000,100,{file}\n")
+    if z_m is None:
+        with pytest.raises(InputError, match="nothing states the unit of its heights"):
+            read_checkpoints(path, crs)
+        return
+    ((point,), _) = read_checkpoints(path, crs)
+    assert point.z_m == pytest.approx(z_m, abs=1e-9)
+    if survey.startswith("EPSG:2278"):
+        assert point.x_m == pytest.approx(3_100_000 * 1200 / 3937, abs=1e-6)
+
+
+@pytest.mark.parametrize(
     ("content", "fault"),
     [
         (b"id,x,y\nA,1,2\n", "lacks the columns z"),

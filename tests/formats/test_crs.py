@@ -13,6 +13,7 @@ from spl_batch.formats.crs import (
     GEO_KEYS,
     crs_from_geotiff,
     crs_problems,
+    heights_ratio,
     other_heights,
     same_crs,
     stretch_problem,
@@ -20,12 +21,15 @@ from spl_batch.formats.crs import (
     with_vertical,
 )
 from spl_batch.formats.rasters.geotiff import write_cog
+from spl_batch.formats.units import US_FOOT, Units
 
 
 @pytest.mark.parametrize(
-    "text", ["EPSG:32615", "EPSG:2154", "EPSG:32615+5773", "EPSG:25832", "EPSG:3994", "EPSG:3413"]
-)
-def test_metric_projected_crs_is_fine(text: str) -> None:
+    "text",
+    ["EPSG:32615", "EPSG:2154", "EPSG:32615+5773", "EPSG:25832", "EPSG:3994",
+    "EPSG:3413", "EPSG:2263", "EPSG:32615+6360", "EPSG:2992+8228"],
+)  # fmt: skip
+def test_projected_crs_in_metres_or_feet_is_fine(text: str) -> None:
     assert crs_problems(CRS.from_user_input(text)) == []
 
 
@@ -34,8 +38,8 @@ def test_metric_projected_crs_is_fine(text: str) -> None:
     [
         ("EPSG:4326", "geographic (degrees)"),
         ("EPSG:4979", "geographic (degrees)"),
-        ("EPSG:2263", "US survey foot"),
-        ("EPSG:32615+6360", "Gravity-related height in US survey foot"),
+        ("+proj=utm +zone=15 +units=km", "is in kilometre"),
+        ("+proj=utm +zone=15 +to_meter=0.3047", "no unit of metres or feet"),
         ("EPSG:3857", "1/cos(latitude)"),
         ("EPSG:3395", "1/cos(latitude)"),
         ("EPSG:3857+5703", "1/cos(latitude)"),
@@ -62,6 +66,7 @@ def test_refused(text: str, words: str) -> None:
         ("EPSG:5880", (7_000_000, 9_150_000), None),
         ("EPSG:22700", (500_000, 300_000), None),
         ("EPSG:32615", (4_500_000, 5_000_000), "1.20"),
+        ("EPSG:2278", (900_000, 4_200_000), None),
     ],
 )
 def test_a_projection_that_stretches_lengths_there(
@@ -99,7 +104,7 @@ def test_a_named_vertical_crs_completes_that_of_the_files(tmp_path: Path) -> Non
     ("crs", "text", "fault"),
     [
         ("EPSG:32615", "EPSG:32615", "is no vertical CRS"),
-        ("EPSG:32615", "EPSG:6360", "is not in metres"),
+        ("EPSG:32615+6360", "EPSG:5703", "the files say 'NAVD88 height .ftUS"),
         ("EPSG:32615", "EPSG:5612", "counts Depth down"),
         ("EPSG:32615+5703", "EPSG:5773", "the files say 'NAVD88 height'"),
         (None, "EPSG:5703", "no CRS that it could complete"),
@@ -121,19 +126,21 @@ def _keys(*keys: tuple[int, int]) -> CRS | None:
 @pytest.mark.parametrize(
     "vertical_keys", [((4096, 6360), (4099, 9003)), ((4099, 9003),), ((4096, 5703), (4099, 9003))]
 )
-def test_heights_of_geotiff_keys_in_feet_are_refused(
+def test_heights_of_geotiff_keys_are_in_the_unit_that_they_state(
     vertical_keys: tuple[tuple[int, int], ...],
 ) -> None:
     crs = _keys((1024, 1), (3072, 32615), *vertical_keys)
-    assert crs is not None
-    assert len(crs_problems(crs)) == 1
+    units = Units.of(crs)
+    assert (units.horizontal, units.vertical) == ("metre", "US survey foot")
+    named = with_vertical(crs, "EPSG:6360", "survey.vertical_crs")
+    assert vertical(named).to_epsg() == 6360
+    with pytest.raises(WorkflowError):
+        with_vertical(crs, "EPSG:5703", "survey.vertical_crs")
 
 
-@pytest.mark.parametrize(("unit", "count"), [(9001, 0), (9002, 1), (9003, 1)])
-def test_a_local_crs_of_geotiff_keys_has_their_unit(unit: int, count: int) -> None:
-    crs = _keys((1024, 1), (3072, 32767), (3076, unit))
-    assert crs is not None
-    assert len(crs_problems(crs)) == count
+@pytest.mark.parametrize(("unit", "name"), [(9001, "metre"), (9002, "foot"), (9003, US_FOOT)])
+def test_a_local_crs_of_geotiff_keys_has_their_unit(unit: int, name: str) -> None:
+    assert Units.of(_keys((1024, 1), (3072, 32767), (3076, unit))).horizontal == name
 
 
 def test_vertical_crs_of_geotiff_keys() -> None:
@@ -179,3 +186,21 @@ def test_heights_that_are_not_the_surveys(found: str, *, differ: bool) -> None:
     said = other_heights(CRS.from_user_input(found), CRS.from_user_input("EPSG:32615+5703"))
     assert bool(said) == differ
     assert ("EPSG:5773" in said) == differ
+
+
+@pytest.mark.parametrize(
+    ("found", "survey", "ratio"),
+    [
+        ("EPSG:2278+6360", "EPSG:32615+5703", 1200 / 3937),
+        ("EPSG:2278+6360", "EPSG:32615", 1200 / 3937),
+        ("EPSG:4979", "EPSG:2992+8228", 1 / 0.3048),
+        ("EPSG:4326", "EPSG:2992", 1.0),
+        ("EPSG:2278", "EPSG:2278+5703", 1.0),
+        ("EPSG:2278", "EPSG:32615+5703", None),
+        ("EPSG:2992", "EPSG:2278", None),
+    ],
+)
+def test_heights_are_in_a_unit_that_is_stated_or_the_surveys(
+    found: str, survey: str, ratio: float | None
+) -> None:
+    assert heights_ratio(*map(CRS.from_user_input, (found, survey))) == ratio

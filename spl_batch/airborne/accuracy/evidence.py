@@ -11,6 +11,8 @@ from typing import Final, NamedTuple
 
 from spl_batch.airborne.accuracy.checkpoint_errors import CheckpointStatistics
 from spl_batch.airborne.pulses.swaths import SwathTotals
+from spl_batch.engine.report.number_format import height
+from spl_batch.formats.units import METRES, Units
 
 
 class Level(NamedTuple):
@@ -89,3 +91,8 @@ class Evidence:
     has_crs: bool  #: Whether the survey's CRS is known.
     vertical_datum: str | None  #: Name of the vertical datum of the CRS.
     time_standard: str | None  #: GPS time of the points, in words.
+    units: Units = METRES  #: What is delivered.
+
+    def height(self, metres: float | None) -> str:
+        """A height as requirements show it."""
+        return height(metres, self.units.of_heights)

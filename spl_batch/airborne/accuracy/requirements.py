@@ -16,7 +16,7 @@ from spl_batch.airborne.accuracy.checkpoint_errors import EDITION, ENOUGH, STAND
 from spl_batch.airborne.accuracy.evidence import LEVELS, Evidence
 from spl_batch.airborne.pulses.swaths import SwathTotals
 from spl_batch.constants import CLASS_HIGH_NOISE, CLASS_LOW_NOISE
-from spl_batch.engine.report.number_format import centimetres, number, percent, significant
+from spl_batch.engine.report.number_format import number, percent, significant
 from spl_batch.engine.report.parts import STRICT
 from spl_batch.errors import named
 
@@ -68,7 +68,7 @@ def requirements(known: Evidence) -> tuple[Requirement, ...]:
 
 def _accuracy(known: Evidence) -> Requirement:
     limit, nva = known.rmse_v_m, known.nva
-    required = f"RMSE_V at most {centimetres(limit)} at {ENOUGH} open checkpoints or more"
+    required = f"RMSE_V at most {known.height(limit)} at {ENOUGH} open checkpoints or more"
     place = ("Absolute vertical accuracy, NVA", required)
     section = (
         f"{EDITION}, sections 7.4, 7.12 and 7.13; {LBS}, {PROCESSING}, Absolute Vertical Accuracy; "
@@ -81,7 +81,7 @@ def _accuracy(known: Evidence) -> Requirement:
             else "no checkpoints were given: name them in reference.checkpoints"
         )
         return Requirement(*place, "not tested", "cannot tell", why, STANDARD, section)
-    fit, own, whole = map(centimetres, (nva.rmse_v1_m, nva.rmse_v2_m, nva.rmse_v_m))
+    fit, own, whole = map(known.height, (nva.rmse_v1_m, nva.rmse_v2_m, nva.rmse_v_m))
     if nva.rmse_v_m is None:
         found = f"fit {fit} at {nva.n} checkpoints"
         why = "the checkpoints' own accuracy is not given: column accuracy_m"
@@ -96,7 +96,7 @@ def _accuracy(known: Evidence) -> Requirement:
     answer: Answer = "pass" if nva.rmse_v_m <= limit else "fail"
     if answer == "pass" and (nva.rmse_v2_m or 0.0) > KNOWN_SHARE * limit:
         answer = "cannot tell"
-        why += f": they shall be known to {centimetres(KNOWN_SHARE * limit)}"
+        why += f": they shall be known to {known.height(KNOWN_SHARE * limit)}"
     return Requirement(*place, found, answer, why, STANDARD, section)
 
 
@@ -106,27 +106,27 @@ def _vegetated(known: Evidence) -> Requirement:
     if vva is None or vva.rmse_v_m is None or vva.n < ENOUGH:
         found = "not tested" if vva is None or not vva.n else f"{vva.n} checkpoints"
         if vva is not None and vva.rmse_v1_m is not None:
-            found = f"fit {centimetres(vva.rmse_v1_m)} at {vva.n} checkpoints"
+            found = f"fit {known.height(vva.rmse_v1_m)} at {vva.n} checkpoints"
         why = f"a statement needs {ENOUGH} vegetated checkpoints of known accuracy"
         return Requirement(*place, found, "cannot tell", why, STANDARD, f"{EDITION}, section 7.4")
-    found = f"RMSE_V {centimetres(vva.rmse_v_m)} at {vva.n} checkpoints"
+    found = f"RMSE_V {known.height(vva.rmse_v_m)} at {vva.n} checkpoints"
     why = "the standard sets no limit any more: it is reported"
     return Requirement(*place, found, "pass", why, STANDARD, f"{EDITION}, section 7.4")
 
 
 def _mean_error(known: Evidence) -> Requirement:
     limit = MEAN_SHARE * known.rmse_v_m
-    place = ("Systematic error", f"mean error within {centimetres(limit)} of zero")
+    place = ("Systematic error", f"mean error within {known.height(limit)} of zero")
     nva = known.nva
     if nva is None or nva.mean_m is None or nva.n < ENOUGH:
         why = f"needs {ENOUGH} open checkpoints"
-        found = "not tested" if nva is None else centimetres(nva.mean_m)
+        found = "not tested" if nva is None else known.height(nva.mean_m)
         return Requirement(*place, found, "cannot tell", why, STANDARD, f"{EDITION}, section 7.2")
     good = abs(nva.mean_m) <= limit
     why = f"a quarter of the largest RMSE_V{'' if good else ': find the cause before delivery'}"
     answer: Answer = "pass" if good else "fail"
     return Requirement(
-        *place, centimetres(nva.mean_m), answer, why, STANDARD, f"{EDITION}, section 7.2"
+        *place, known.height(nva.mean_m), answer, why, STANDARD, f"{EDITION}, section 7.2"
     )
 
 
@@ -256,13 +256,13 @@ def _not_overlapping(known: Evidence) -> str:
 
 def _overlap(known: Evidence) -> Requirement:
     limit = LEVELS[known.level].overlap_rmsd_m
-    place = ("Swath overlap difference", f"RMSDz at most {centimetres(limit)}")
+    place = ("Swath overlap difference", f"RMSDz at most {known.height(limit)}")
     swaths = known.swaths
     if swaths is None:
         why = _not_overlapping(known)
         return Requirement(*place, "not measured", "cannot tell", why, LBS, _OVERLAP)
     answer: Answer = "pass" if swaths.rmsd_m <= limit else "fail"
-    found = f"RMSDz {centimetres(swaths.rmsd_m)}"
+    found = f"RMSDz {known.height(swaths.rmsd_m)}"
     why = (
         f"{number(swaths.places)} smooth places of {swaths.pairs} "
         f"pair{'s' * (swaths.pairs != 1)} of flightlines"

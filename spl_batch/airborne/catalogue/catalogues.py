@@ -12,8 +12,10 @@ from pyproj import CRS
 from spl_batch.airborne.catalogue.delivered_files import (
     INDEX,
     UNKNOWN_SPAN,
+    UNNAMED,
     Cloud,
     Delivery,
+    Publisher,
     RasterFile,
     Span,
     leads_to_degrees,
@@ -24,6 +26,7 @@ from spl_batch.airborne.catalogue.delivered_files import (
 from spl_batch.errors import plain
 from spl_batch.formats.crs import crs_name
 from spl_batch.formats.files.atomic import replacing, scratch_folder
+from spl_batch.formats.units import Units
 
 REMEDY: Final = "; name it in survey.crs"
 """Where no CRS is known."""
@@ -53,6 +56,7 @@ def write_catalogues(
     crs: CRS | None,
     args: Mapping[str, Any],
     outlines: Mapping[str, shapely.MultiPolygon] = MappingProxyType({}),
+    publisher: Publisher = UNNAMED,
 ) -> tuple[list[Path], list[str]]:
     """Write every catalogue of the clouds and rasters of a run.
 
@@ -62,7 +66,9 @@ def write_catalogues(
         ``clouds`` (``href``, ``span_s``), ``rasters``, ``flightlines`` (``id, points, first_s,
         last_s, files``) and ``checkpoints``, as the plan gives them.
     outlines : mapping of str to MultiPolygon
-        Where flightlines lie, by their names; others lie in the boxes of their files.
+        Where flightlines lie, by their names [m]; others lie in the boxes of their files.
+    publisher : Publisher
+        Who delivers.
 
     Returns
     -------
@@ -71,15 +77,19 @@ def write_catalogues(
     remarks : list of str
         What could not be written, and why.
     """
-    clouds = [read_cloud(output, one["href"], _span(one["span_s"])) for one in args["clouds"]]
+    units = Units.of(crs)
+    clouds = [
+        read_cloud(output, one["href"], _span(one["span_s"]), units) for one in args["clouds"]
+    ]
     rasters = [read_raster_file(output, href) for href in args["rasters"]]
-    written = [_write_index(output, list(_layers(args, clouds, outlines)), crs)]
+    text = None if crs is None else crs.to_wkt()
+    written = [write_layers(output / INDEX, list(_layers(args, clouds, outlines, units)), text)]
     held = [cloud for cloud in clouds if cloud.points]
     reason = _why_without_places(crs, held, rasters)
     if crs is not None and not reason:
         from spl_batch.airborne.catalogue.stac import write_stac  # noqa: PLC0415 - loads pystac
 
-        written += write_stac(output, Delivery(plain(name), crs, held, rasters))
+        written += write_stac(output, Delivery(plain(name), crs, held, rasters, publisher))
     remark = f"{reason}: no STAC and no virtual point cloud are written"
     return written, [f"{remark}{REMEDY if crs is None else ''}"] if reason else []
 
@@ -105,18 +115,21 @@ def _layers(
     args: Mapping[str, Any],
     clouds: Sequence[Cloud],
     outlines: Mapping[str, shapely.MultiPolygon],
+    units: Units,
 ) -> Iterator[Layer]:
     """Topmost first."""
     points = args["checkpoints"]
+    places = np.array([(one["x_m"], one["y_m"], one["z_m"]) for one in points]).reshape(-1, 3)
     yield Layer(
         "checkpoints",
-        [shapely.Point(one["x_m"], one["y_m"], one["z_m"]) for one in points],
+        list(shapely.points(places / units.xyz_m)),
         {key: [one[key] for one in points] for key in ("id", "surface", "accuracy_m", "error_m")},
     )
-    boxes = {cloud.href: shapely.box(*cloud.box_m) for cloud in clouds}
+    boxes = {cloud.href: shapely.box(*cloud.box) for cloud in clouds}
     lines = args["flightlines"]
     flown = [
-        outlines.get(one["id"]) or _together([boxes[href] for href in one["files"]])
+        _in_units(outlines.get(one["id"]), units)
+        or _together([boxes[href] for href in one["files"]])
         for one in lines
     ]
     keys = ("id", "points", "first_s", "last_s", "area_m2", "per_m2")
@@ -132,24 +145,30 @@ def _layers(
     )
 
 
+def _in_units(shape: shapely.MultiPolygon | None, units: Units) -> shapely.MultiPolygon | None:
+    """A shape in metres, in the units of the survey's CRS."""
+    if shape is None or units.are_metres:
+        return shape
+    return shapely.transform(shape, lambda xy: xy / units.horizontal_m)
+
+
 def _together(boxes: Sequence[shapely.Geometry]) -> shapely.Geometry:
     """Where the files of a flightline lie, as several polygons."""
     found = shapely.union_all(boxes)
     return found if found.geom_type == "MultiPolygon" else shapely.MultiPolygon([found])
 
 
-def _write_index(output: Path, layers: Sequence[Layer], crs: CRS | None) -> Path:
-    """Write ``index.gpkg``; layers without features are left out.
+def write_layers(path: Path, layers: Sequence[Layer], crs: str | None) -> Path:
+    """Write a GeoPackage; layers without features are left out, the same content is equal bytes.
 
-    ``crs``: of the coordinates; :data:`UNDEFINED` where it is None.
+    ``crs``: of the coordinates, as WKT; :data:`UNDEFINED` where it is None.
     """
     import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
 
-    path = output / INDEX
     pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": WRITTEN})
     try:
         with replacing(path) as target, scratch_folder(path) as folder:
-            whole = folder / INDEX  # GDAL keeps its journal beside the file
+            whole = folder / path.name  # GDAL keeps its journal beside the file
             for layer in layers:
                 if len(layer.shapes):
                     _write(whole, layer, crs)
@@ -159,7 +178,7 @@ def _write_index(output: Path, layers: Sequence[Layer], crs: CRS | None) -> Path
     return path
 
 
-def _write(path: Path, layer: Layer, crs: CRS | None) -> None:
+def _write(path: Path, layer: Layer, crs: str | None) -> None:
     import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
 
     shapes = np.asarray(layer.shapes, object)
@@ -172,7 +191,7 @@ def _write(path: Path, layer: Layer, crs: CRS | None) -> None:
         layer=layer.name,
         driver="GPKG",
         geometry_type=f"{kinds.pop()}{' Z' if layer.shapes[0].has_z else ''}",
-        crs=UNDEFINED if crs is None else crs.to_wkt(),
+        crs=UNDEFINED if crs is None else crs,
         append=path.exists(),
     )
 

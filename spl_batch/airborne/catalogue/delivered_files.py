@@ -15,7 +15,8 @@ from pyproj.exceptions import ProjError
 from spl_batch.constants import ADJUSTED_STANDARD_OFFSET_S
 from spl_batch.formats.crs import horizontal, vertical
 from spl_batch.formats.gps_clock import leap_seconds
-from spl_batch.formats.rasters.parts import opened
+from spl_batch.formats.rasters.parts import opened, place_m
+from spl_batch.formats.units import METRES, Units
 
 INDEX: Final = "index.gpkg"
 """Files, flightlines and checkpoints as layers, with counts; below the output."""
@@ -26,11 +27,21 @@ STAC: Final = "stac"
 VIRTUAL: Final = "survey.vpc"
 """Virtual point cloud, below the output."""
 
+CONTOURS: Final = "contours.gpkg"
+"""Contours of the terrain, below the output."""
+
+CLIENT_TILES: Final = "client_tiles"
+"""Folder of what a client's polygons cut out, below the output."""
+
 GPS_EPOCH: Final = dt.datetime(1980, 1, 6, tzinfo=dt.UTC)
 """Where GPS time begins; it stands for a time that nothing tells."""
 
 EDGE_POINTS: Final = 8
 """Points along an edge of a box that is moved to another CRS [count]."""
+
+
+Box = tuple[float, float, float, float]
+"""West, south, east, north, in the survey's CRS and its units."""
 
 
 class Span(NamedTuple):
@@ -65,28 +76,29 @@ class Cloud:
     """A delivered cloud."""
 
     href: str  #: Its path below the output.
-    #: West, south, lowest, east, north, highest, in the survey's CRS [m].
-    bounds_m: tuple[float, float, float, float, float, float]
+    #: West, south, lowest, east, north, highest, in the survey's CRS and its units.
+    bounds: tuple[float, float, float, float, float, float]
     points: int
     span: Span
     #: Name, bytes and kind (``floating``, ``unsigned``, ``signed``) of each dimension.
     dimensions: tuple[tuple[str, int, str], ...]
+    units: Units = METRES  #: Of the survey's CRS.
 
     @property
-    def box_m(self) -> tuple[float, float, float, float]:
-        """West, south, east, north [m]."""
-        west, south, _, east, north, _ = self.bounds_m
+    def box(self) -> Box:
+        """Where it lies."""
+        west, south, _, east, north, _ = self.bounds
         return west, south, east, north
 
     @property
     def per_m2(self) -> float:
         """Points over the area of its box [1/m2]."""
-        west, south, east, north = self.box_m
-        area_m2 = (east - west) * (north - south)
+        west, south, east, north = self.box
+        area_m2 = (east - west) * (north - south) * self.units.horizontal_m**2
         return self.points / area_m2 if area_m2 else 0.0
 
 
-def read_cloud(output: Path, href: str, span: Span) -> Cloud:
+def read_cloud(output: Path, href: str, span: Span, units: Units = METRES) -> Cloud:
     """A delivered cloud, from its header."""
     with laspy.open(output / href) as reader:
         header = reader.header
@@ -95,7 +107,8 @@ def read_cloud(output: Path, href: str, span: Span) -> Cloud:
         points = int(header.point_count)
     bounds = (*low, *high) if points else (0.0,) * 6
     west, south, lowest, east, north, highest = bounds
-    return Cloud(href, (west, south, lowest, east, north, highest), points, span, dimensions)
+    ends = west, south, lowest, east, north, highest
+    return Cloud(href, ends, points, span, dimensions, units)
 
 
 def _dimension(one: Any) -> tuple[str, int, str]:
@@ -108,8 +121,9 @@ class RasterFile:
     """A delivered raster."""
 
     href: str  #: Its path below the output.
-    box_m: tuple[float, float, float, float]  #: West, south, east, north [m].
+    box: Box  #: Where it lies.
     shape: tuple[int, int]  #: Rows and columns.
+    cell: float  #: Edge of a cell, in the CRS's unit.
     cell_m: float
     meaning: str
     unit: str
@@ -119,10 +133,23 @@ class RasterFile:
 def read_raster_file(output: Path, href: str) -> RasterFile:
     """A delivered raster, from its header."""
     with opened(output / href) as source:
-        bounds, shape, cell_m = source.bounds, source.shape, float(source.transform.a)
+        bounds, shape, cell = source.bounds, source.shape, float(source.transform.a)
+        *_, cell_m = place_m(source)
         meaning, unit = source.descriptions[0] or href, source.units[0] or ""
         crs = CRS.from_wkt(source.crs.to_wkt()) if source.crs else None
-    return RasterFile(href, tuple(bounds), shape, cell_m, meaning, unit, crs)
+    return RasterFile(href, tuple(bounds), shape, cell, cell_m, meaning, unit, crs)
+
+
+class Publisher(NamedTuple):
+    """Who delivers, and by what terms, as far as the workflow says."""
+
+    organisation: str | None = None
+    contact: str | None = None
+    licence: str | None = None  #: Identifier of SPDX, or a URL.
+
+
+UNNAMED: Final = Publisher()
+"""Where the workflow says nothing."""
 
 
 @dataclass(frozen=True)
@@ -133,6 +160,7 @@ class Delivery:
     crs: CRS
     clouds: Sequence[Cloud]
     rasters: Sequence[RasterFile]
+    publisher: Publisher = UNNAMED
 
     @property
     def span(self) -> Span:
@@ -146,13 +174,9 @@ class Delivery:
     def _to_degrees(self) -> Transformer:
         return _to_degrees(self.crs)
 
-    def box_deg(
-        self, box_m: tuple[float, float, float, float]
-    ) -> tuple[float, float, float, float]:
+    def box_deg(self, box: Box) -> Box:
         """A box of the survey's CRS in longitudes and latitudes, of WGS 84 [deg]."""
-        west, south, east, north = self._to_degrees.transform_bounds(
-            *box_m, densify_pts=EDGE_POINTS
-        )
+        west, south, east, north = self._to_degrees.transform_bounds(*box, densify_pts=EDGE_POINTS)
         return west, south, east, north
 
     def crs_of(self, raster: RasterFile) -> CRS:
@@ -163,9 +187,9 @@ class Delivery:
         alike = mine is ours if mine is None or ours is None else mine.equals(ours)
         return self.crs if alike else raster.crs
 
-    def outline_deg(self, box_m: tuple[float, float, float, float]) -> dict[str, Any]:
+    def outline_deg(self, box: Box) -> dict[str, Any]:
         """Corners of a box in longitudes and latitudes, as GeoJSON."""
-        ring = shapely.get_coordinates(shapely.box(*box_m, ccw=True))
+        ring = shapely.get_coordinates(shapely.box(*box, ccw=True))
         lon, lat = self._to_degrees.transform(*ring.T)
         return {
             "type": "Polygon",
@@ -186,9 +210,9 @@ def leads_to_degrees(crs: CRS) -> bool:
     return True
 
 
-def outline(box_m: tuple[float, float, float, float]) -> dict[str, Any]:
+def outline(box: Box) -> dict[str, Any]:
     """Corners of a box, as GeoJSON in the survey's CRS."""
-    found: dict[str, Any] = shapely.geometry.mapping(shapely.box(*box_m, ccw=True))
+    found: dict[str, Any] = shapely.geometry.mapping(shapely.box(*box, ccw=True))
     return {
         "type": found["type"],
         "coordinates": [[list(corner) for corner in ring] for ring in found["coordinates"]],

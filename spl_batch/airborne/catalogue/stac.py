@@ -26,12 +26,15 @@ from pystac.extensions.projection import ProjectionExtension
 from spl_batch.airborne.catalogue.delivered_files import (
     STAC,
     VIRTUAL,
+    Box,
     Cloud,
     Delivery,
+    Publisher,
     RasterFile,
     outline,
     plain_name,
 )
+from spl_batch.errors import plain
 from spl_batch.formats.files.atomic import write_bytes
 
 LONGEST_ID: Final = 200
@@ -88,8 +91,9 @@ def write_stac(output: Path, delivery: Delivery) -> list[Path]:
         extent=pystac.Extent(
             pystac.SpatialExtent([whole]), pystac.TemporalExtent([list(delivery.span)])
         ),
-        license="other",
+        license=_licence(delivery.publisher),
         providers=[
+            *_producer(delivery.publisher),
             pystac.Provider(SOFTWARE, roles=[pystac.ProviderRole.PROCESSOR]),
         ],
     )
@@ -104,6 +108,8 @@ def write_stac(output: Path, delivery: Delivery) -> list[Path]:
         collection.links.append(pystac.Link("item", f"./{item.id}.json", "application/geo+json"))
     collection.links = [link for link in collection.links if link.rel != "root"]
     collection.links.insert(0, pystac.Link("root", "./collection.json", "application/json"))
+    if (licence := delivery.publisher.licence) and _is_url(licence):
+        collection.links.append(pystac.Link("license", licence))
     # Links are as they stand: nothing is to be resolved, or made absolute.
     records = [item.to_dict(include_self_link=False, transform_hrefs=False) for item in items]
     written = {folder / f"{record['id']}.json": _text(record) for record in records}
@@ -121,6 +127,25 @@ def write_stac(output: Path, delivery: Delivery) -> list[Path]:
         # Thousands of items, and a receipt that knows their sizes: a disk's time for each is saved.
         write_bytes(path, f"{text}\n".encode(), durable=False)
     return list(texts)
+
+
+def _is_url(licence: str) -> bool:
+    return "://" in licence
+
+
+def _licence(publisher: Publisher) -> str:
+    """What STAC takes; a URL is a link beside it."""
+    known = publisher.licence is not None and not _is_url(publisher.licence)
+    return str(publisher.licence) if known else "other"
+
+
+def _producer(publisher: Publisher) -> list[pystac.Provider]:
+    """Who delivers, as far as it is known."""
+    name = publisher.organisation or publisher.contact
+    if name is None:
+        return []
+    contact = None if publisher.contact is None else f"Contact: {plain(publisher.contact)}"
+    return [pystac.Provider(plain(name), contact, [pystac.ProviderRole.PRODUCER])]
 
 
 def _virtual(cloud: Cloud, record: dict[str, Any], crs: CRS) -> dict[str, Any]:
@@ -151,11 +176,12 @@ def _slug(name: str) -> str:
 
 
 def _cloud_item(name: str, cloud: Cloud, delivery: Delivery) -> pystac.Item:
-    west, south, east, north = delivery.box_deg(cloud.box_m)
-    low_m, high_m = cloud.bounds_m[2], cloud.bounds_m[5]
+    west, south, east, north = delivery.box_deg(cloud.box)
+    ends = cloud.bounds[2], cloud.bounds[5]
+    low_m, high_m = (end * cloud.units.vertical_m for end in ends)
     item = pystac.Item(
         id=name,
-        geometry=delivery.outline_deg(cloud.box_m),
+        geometry=delivery.outline_deg(cloud.box),
         bbox=[west, south, low_m, east, north, high_m],
         datetime=None,
         properties={},
@@ -164,7 +190,7 @@ def _cloud_item(name: str, cloud: Cloud, delivery: Delivery) -> pystac.Item:
     )
     kind = COPC_TYPE if cloud.href.endswith(".copc.laz") else LAZ_TYPE
     item.add_asset("data", pystac.Asset(f"../{cloud.href}", media_type=kind, roles=["data"]))
-    _project(item, delivery.crs, cloud.box_m, (low_m, high_m))
+    _project(item, delivery.crs, cloud.box, ends)
     PointcloudExtension.ext(item, add_if_missing=True).apply(
         count=cloud.points,
         type=PhenomenologyType.LIDAR,
@@ -173,9 +199,7 @@ def _cloud_item(name: str, cloud: Cloud, delivery: Delivery) -> pystac.Item:
         density=cloud.per_m2,
         statistics=[
             # create() writes null for what is not given, which the extension's schema refuses.
-            Statistic(
-                {"name": axis, "minimum": cloud.bounds_m[k], "maximum": cloud.bounds_m[k + 3]}
-            )
+            Statistic({"name": axis, "minimum": cloud.bounds[k], "maximum": cloud.bounds[k + 3]})
             for k, axis in enumerate("XYZ")
         ],
     )
@@ -185,8 +209,8 @@ def _cloud_item(name: str, cloud: Cloud, delivery: Delivery) -> pystac.Item:
 def _raster_item(name: str, raster: RasterFile, delivery: Delivery) -> pystac.Item:
     item = pystac.Item(
         id=name,
-        geometry=delivery.outline_deg(raster.box_m),
-        bbox=list(delivery.box_deg(raster.box_m)),
+        geometry=delivery.outline_deg(raster.box),
+        bbox=list(delivery.box_deg(raster.box)),
         datetime=None,
         properties={"title": raster.meaning, "gsd": raster.cell_m},
         start_datetime=delivery.span.first,
@@ -198,28 +222,28 @@ def _raster_item(name: str, raster: RasterFile, delivery: Delivery) -> pystac.It
     if raster.unit:
         asset.extra_fields["unit"] = raster.unit
     item.add_asset("data", asset)
-    _project(item, delivery.crs_of(raster), raster.box_m)
-    west, _, _, north = raster.box_m
+    _project(item, delivery.crs_of(raster), raster.box)
+    west, _, _, north = raster.box
     found = ProjectionExtension.ext(item)
     found.shape = list(raster.shape)
-    found.transform = [raster.cell_m, 0.0, west, 0.0, -raster.cell_m, north]
+    found.transform = [raster.cell, 0.0, west, 0.0, -raster.cell, north]
     return item
 
 
 def _project(
     item: pystac.Item,
     crs: CRS,
-    box_m: tuple[float, float, float, float],
-    heights_m: tuple[float, float] | None = None,
+    box: Box,
+    heights: tuple[float, float] | None = None,
 ) -> None:
     authority = crs.to_authority()
-    west, south, east, north = box_m
-    box = [west, south, east, north]
-    if heights_m is not None:
-        box = [west, south, heights_m[0], east, north, heights_m[1]]
+    west, south, east, north = box
+    bounds = [west, south, east, north]
+    if heights is not None:
+        bounds = [west, south, heights[0], east, north, heights[1]]
     ProjectionExtension.ext(item, add_if_missing=True).apply(
         code=":".join(authority) if authority else None,
         wkt2=crs.to_wkt("WKT2_2019"),
-        geometry=outline(box_m),
-        bbox=box,
+        geometry=outline(box),
+        bbox=bounds,
     )

@@ -16,6 +16,7 @@ from spl_batch.errors import grouped
 from spl_batch.formats.crs import look_like_degrees
 from spl_batch.formats.gps_clock import usable_times
 from spl_batch.formats.las.reader import SAMPLE_POINTS, Ends, LasFacts, inspect, read_ends
+from spl_batch.formats.units import Units
 
 SENSOR: Final = "spl100"
 """What is supposed: no file names the instrument."""
@@ -58,7 +59,8 @@ class CloudLook:
 
 def look_at(path: Path) -> CloudLook:
     """Look at a file, which takes a tenth of a second whatever its size."""
-    return CloudLook(inspect(path), read_ends(path, None, SAMPLE_POINTS))
+    facts = inspect(path)
+    return CloudLook(facts.in_metres(Units.of(facts.crs)), read_ends(path, None, SAMPLE_POINTS))
 
 
 def channel_guess(looks: Sequence[CloudLook], sensor: Sensor) -> Guess:

@@ -81,6 +81,7 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     compared = sum(facts.n_points for facts in survey.inputs.reference.usable)
     work = {stage: compared if stage == "report" else points for stage in rates}
     delivered = len(sources) + (tiles if workflow.outputs.tiles != "none" else 0)
+    delivered += len(survey.inputs.areas)
     flown, found = len(survey.inputs.trajectory), survey.filtering and not survey.inputs.trajectory
     # every file is indexed by parts, and most likely is a flightline; each stretch is
     # observed and scattered; without a trajectory flightlines have a path, which lines of sight of
@@ -130,8 +131,10 @@ def _box(source: Source) -> density.Box:
 
 
 def _copies(workflow: Workflow) -> int:
-    """How often each point is delivered: in its file, in a tile, in a COPC twin [count]."""
-    return 1 + (workflow.outputs.tiles != "none") + workflow.outputs.copc
+    """How often each point is delivered: in its file, in tiles, in a COPC twin [count]."""
+    outputs = workflow.outputs
+    tiles = (outputs.tiles != "none") + (outputs.client_tiles is not None)
+    return 1 + tiles + outputs.copc
 
 
 def _rasters_and_comparisons(survey: Survey, cells: int) -> int:
@@ -140,6 +143,7 @@ def _rasters_and_comparisons(survey: Survey, cells: int) -> int:
     outputs = workflow.outputs
     rasters = len(products(reflectance=False))
     rasters += len(ABOVE_GEOID) * (outputs.geoid is not None)
+    rasters += outputs.contour_interval is not None
     # flightlines are told by the index; until it is there, each file counts as one
     spans = [receipt.facts["spans"] for receipt in survey.of("index_file").values()]
     lines = len({psid for span in spans for psid in span}) or len(sources)

@@ -122,13 +122,13 @@ class Grid(NamedTuple):
         for cell in sorted(touched):
             yield _unit(cell, self.core(cell), counts, tile_q, margin)
 
-    def owners(self, tiles: Iterable[CellId], tile_q: int) -> list[str]:
-        """Names of the cells that own points of some tiles, or could."""
-        return sorted({str(cell) for tile in tiles for cell in self._of_tile(tile, tile_q)})
+    def owners(self, tiles: Iterable[CellId], tile_q: int, margin: int = 0) -> list[str]:
+        """Names of the cells that own points of some tiles, or could, and of a margin."""
+        return sorted({str(cell) for tile in tiles for cell in self._of_tile(tile, tile_q, margin)})
 
-    def _of_tile(self, tile: CellId, tile_q: int) -> Iterable[CellId]:
+    def _of_tile(self, tile: CellId, tile_q: int, margin: int = 0) -> Iterable[CellId]:
         """Cells that own points of a tile, or could, each once."""
-        squares = cells_touching(cell_bounds(tile, tile_q), self.edge)
+        squares = cells_touching(grow(cell_bounds(tile, tile_q), margin), self.edge)
         return dict.fromkeys(map(self.keeper, squares))
 
 

@@ -17,6 +17,7 @@ from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_bounds
 from spl_batch.airborne.plan.task_memory import cell_bytes, refusal, surface_reach_m
 from spl_batch.airborne.products.product_table import ABOVE_GEOID, products
 from spl_batch.airborne.store.label_tables import SHIFTED
+from spl_batch.airborne.tasks.delivered_points import terrain_margin_q
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.task import Need, Task
@@ -179,7 +180,9 @@ def deliver(survey: Survey) -> Iterator[Task]:
             "spans": receipt.facts["spans"],
         }
         needs = [("build_tile", tile) for tile in tiles]
-        needs += labels_of(survey, tiles_of.get(key, ()), "denoise", "surface")
+        margin = terrain_margin_q(survey.workflow)
+        near = tiles_of.get(key, ())
+        needs += labels_of(survey, near, "denoise", "surface", margin=margin)
         yield Task("deliver_file", key, args, tuple(needs), receipt.points)
 
 
@@ -199,7 +202,10 @@ def deliver_tiles(survey: Survey) -> Iterator[Task]:
     if survey.workflow.outputs.tiles == "none":
         return
     for tile, count in survey.counts.items():
-        needs = (("build_tile", str(tile)), *labels_of(survey, [tile], "denoise", "surface"))
+        labels = labels_of(
+            survey, [tile], "denoise", "surface", margin=terrain_margin_q(survey.workflow)
+        )
+        needs = (("build_tile", str(tile)), *labels)
         yield Task("deliver_tile", str(tile), {"tile": str(tile)}, needs, count)
 
 
@@ -263,11 +269,18 @@ def aligned(survey: Survey) -> tuple[Need, ...]:
     return (SHIFTED,) if SHIFTED[1] in survey.of(SHIFTED[0]) else ()
 
 
-def labels_of(survey: Survey, tiles: Collection[CellId], *steps: str) -> list[Need]:
-    """Tasks of steps that may label points of some tiles, and the one that shifts their heights."""
+def labels_of(
+    survey: Survey, tiles: Collection[CellId], *steps: str, margin: int = 0
+) -> list[Need]:
+    """Tasks of steps that may label points of some tiles, and the one that shifts their heights.
+
+    ``margin``: of the tiles [quanta].
+    """
     grids = {step: survey.denoise_grid if step == "denoise" else survey.grid for step in steps}
     needs = [
-        (step, unit) for step, grid in grids.items() for unit in grid.owners(tiles, survey.tile_q)
+        (step, unit)
+        for step, grid in grids.items()
+        for unit in grid.owners(tiles, survey.tile_q, margin)
     ]
     return [*needs, *aligned(survey)]
 

@@ -49,6 +49,9 @@ BYTES_PER_LABEL: Final = 3
 BYTES_PER_DIAGNOSTIC: Final = 9
 """And where diagnostics are delivered [byte]."""
 
+BYTES_PER_HEIGHT: Final = 4
+"""And where heights above the terrain are delivered [byte]."""
+
 BYTES_PER_RECORD: Final = 200
 """A trajectory's record that waits for its place in time [byte]."""
 
@@ -141,7 +144,9 @@ def needs(
     """
     points, most = sum(files), max(files, default=0)
     labels = min(most, PASS_POINTS) * BYTES_PER_LABEL
-    labels += labels // BYTES_PER_LABEL * BYTES_PER_DIAGNOSTIC * workflow.outputs.diagnostics
+    further = BYTES_PER_DIAGNOSTIC * workflow.outputs.diagnostics
+    further += BYTES_PER_HEIGHT * workflow.outputs.height_above_ground
+    labels += labels // BYTES_PER_LABEL * further
     records = sum(_records(path) for path in trajectory)
     found = list(_cells(pieces, workflow, side))
     if workflow.outputs.copc:

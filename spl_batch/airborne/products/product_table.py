@@ -28,6 +28,9 @@ PRODUCTS: Final = (
 REFLECTANCE: Final = Product("intensity", "reflectance from detections, 1 is all light", "1")
 """What ``intensity`` holds where detections tell how much light came back."""
 
+HEIGHTS: Final = ("dtm", "dsm")
+"""Rasters of heights above the datum, which change with it; other lengths are differences."""
+
 NAMES: Final = tuple(product.name for product in PRODUCTS)
 """Names of all rasters."""
 

@@ -79,6 +79,7 @@ def judged(done: Receipts, context: Context) -> tuple[Requirement, ...]:
         has_crs=crs is not None,
         vertical_datum=None if datum is None else datum.name,
         time_standard=_time_standard(flown),
+        units=context.units,
     )
     return requirements(known)
 
@@ -99,12 +100,12 @@ def checkpoint_report(done: Receipts, context: Context) -> Checkpoints | None:
 
 
 def checkpoint_findings(tested: Checkpoints | None, context: Context) -> Iterator[Finding]:
-    """Heights in feet, and blunders: outliers beyond three times the class's RMSE_V."""
+    """Heights in another unit, and blunders: outliers beyond three times the class's RMSE_V."""
     limit_m = OUTLIER_SIGMA * _class_m(context)
     points = tested.points if tested else ()
     heights = [(z, z + off) for z, off in ((p.z_m, p.error_m) for p in points) if z and off]
     ratio = float(np.median([z / terrain for z, terrain in heights if terrain] or [1.0]))
-    if abs(ratio * FOOT_M - 1.0) < FEET_ALIKE:
+    if min(abs(ratio * FOOT_M - 1.0), abs(ratio / FOOT_M - 1.0)) < FEET_ALIKE:
         yield Finding("C01", {"kind": "feet", "count": len(heights), "ratio": ratio})
     gross = [one for one in points if one.outlier and abs(one.error_m or 0.0) > limit_m]
     if gross:

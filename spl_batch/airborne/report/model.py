@@ -13,6 +13,7 @@ from spl_batch.airborne.accuracy.error_tally import Accuracy
 from spl_batch.airborne.accuracy.requirements import Requirement
 from spl_batch.airborne.lines.alignment import AlignedLine
 from spl_batch.airborne.lines.pair_table import StripPair
+from spl_batch.engine.report.number_format import height
 from spl_batch.engine.report.parts import (
     SCHEMA_VERSION,
     Count,
@@ -23,6 +24,7 @@ from spl_batch.engine.report.parts import (
     Performance,
     Provenance,
 )
+from spl_batch.formats.units import Units
 
 Basis = Literal["given", "sensor", "estimated", "assumed", "none"]
 """Where a number comes from."""
@@ -65,12 +67,26 @@ class Flightline(Part):
     noise_per_m: Number = Field(None, description="Mean noise returns per metre of beamlet [1/m].")
 
 
+class DeliveredUnits(Part):
+    """Units of clouds and rasters; the numbers of this report are in metres, as their names say."""
+
+    horizontal: str = Field("metre", description="Of eastings and northings, by PROJ's name.")
+    horizontal_m: Number = Field(1.0, description="Metres in one of these.")
+    vertical: str = Field("metre", description="Of heights.")
+    vertical_m: Number = Field(1.0, description="Metres in one of these.")
+
+    def height(self, metres: float | None) -> str:
+        """A small height as screen and page show it."""
+        return height(metres, Units(**self.model_dump()).of_heights)
+
+
 class Survey(Part):
     """What was processed."""
 
     name: str = Field(description="Title of the report.")
     crs: str | None = Field(None, description="CRS of everything delivered, e.g. EPSG:32615.")
     crs_name: str | None = Field(None, description="Its name in words.")
+    units: DeliveredUnits = DeliveredUnits()
     sensor: str | None = Field(None, description="Name of the instrument.")
     area_km2: Number = Field(
         None,
@@ -82,6 +98,9 @@ class Survey(Part):
     )
     cell_m: Number = Field(None, description="Edge of a raster cell [m].")
     flightlines: tuple[Flightline, ...] = ()
+    organisation: str | None = Field(None, description="Who delivers the results.")
+    contact: str | None = Field(None, description="Person or address to ask.")
+    licence: str | None = Field(None, description="Licence of the results: SPDX, or a URL.")
 
 
 class Counts(Part):
@@ -112,6 +131,19 @@ class Counts(Part):
         0,
         description="Header records of input files that no reader parses, or that stand there "
         "once more than they count: named in the warnings, left out of the copies [count].",
+    )
+    classes: dict[str, Count] = Field(
+        {}, description="Delivered points by their classification; together points_out [count]."
+    )
+    dropped: dict[str, Count] = Field(
+        {},
+        description="Points that outputs.drop left out of the clouds, by the first reason that "
+        "holds: noise, withheld, outside; points_out and these are points_in [count].",
+    )
+    in_no_client_tile: Count | None = Field(
+        None,
+        description="Delivered points that lie in none of the client's tiles that were written; "
+        "null where none are asked for [count].",
     )
 
 
@@ -219,6 +251,13 @@ class Swath(Part):
     )
 
 
+class ClientTile(Part):
+    """A tile that a client has named."""
+
+    name: str = Field(description="Its name.")
+    points: Count = Field(description="Points in its cloud; none is written without any [count].")
+
+
 class Report(Part):
     """Everything that ``report.json`` holds and ``report.html`` shows."""
 
@@ -248,6 +287,9 @@ class Report(Part):
         description="Shifts in height that were applied; none without survey.align. Of flightlines "
         "that overlap one is kept as it is: the one to which the others, weighted by their "
         "returns, come by the shortest way. strips has what is left.",
+    )
+    client_tiles: tuple[ClientTile, ...] = Field(
+        (), description="Tiles of outputs.client_tiles, but for those that failed."
     )
     performance: Performance = Performance()
     failures: tuple[Failure, ...] = Field((), description="Everything that did not make it.")

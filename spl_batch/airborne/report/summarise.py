@@ -1,10 +1,11 @@
 """Stage ``report``: what all receipts say together, as one report with its pictures."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -28,7 +29,9 @@ from spl_batch.airborne.report.good_enough import (
 )
 from spl_batch.airborne.report.model import (
     Basis,
+    ClientTile,
     Counts,
+    DeliveredUnits,
     Flightline,
     Noise,
     NoiseFit,
@@ -79,6 +82,10 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         strips=strip_pairs(done),
         strips_not_compared=pairs_not_compared(done),
         alignment=alignment(done),
+        client_tiles=tuple(
+            ClientTile(name=name, points=r.points)
+            for name, r in sorted(done.get("deliver_client_tile", {}).items())
+        ),
         performance=performance(facts, sum(r.facts["points"] for r in done["index_file"].values())),
         failures=tuple(facts.failures),
         findings=reported(
@@ -124,11 +131,15 @@ def _survey(done: Receipts, context: Context) -> Survey:
         name=workflow.survey.name,
         crs=":".join(authority) if authority else (crs.name if crs is not None else None),
         crs_name=crs.name if crs is not None else None,
+        units=DeliveredUnits(**asdict(context.units)),
         sensor=workflow.sensor.name if workflow.filtering else None,
         area_km2=area_km2(done, context),
         extent_m=(low[0], high[0], low[1], high[1]),
         cell_m=workflow.products.cell_m,
         flightlines=tuple(_flightlines(done, context)),
+        organisation=workflow.survey.organisation,
+        contact=workflow.survey.contact,
+        licence=workflow.survey.licence,
     )
 
 
@@ -172,9 +183,13 @@ def _counts(done: Receipts, context: Context, facts: RunFacts) -> Counts:
     classes = {k: sum(f["assessed"].get(k, 0) for f in delivered) for k in ("2", "6", "9")}
     if context.workflow.outputs.classes == "noise":  # class 2 is the input's there
         classes["2"] = sum(r.facts["ground"] for r in done.get("ground", {}).values())
+    points_out = sum(f["points"] for f in delivered)
+    cut = None
+    if context.workflow.outputs.client_tiles is not None:
+        cut = [r.points for r in done.get("deliver_client_tile", {}).values()]
     return Counts(
         points_in=sum(f["points"] for f in index),
-        points_out=sum(f["points"] for f in delivered),
+        points_out=points_out,
         signal=noise["0"],
         background=noise["1"],
         afterpulse=noise["2"],
@@ -190,7 +205,18 @@ def _counts(done: Receipts, context: Context, facts: RunFacts) -> Counts:
         copies=sum(n for f in tiles for *_, n in f["copies"]),
         not_read=facts.not_read,
         records_left_out=sum(f["records_left_out"] for f in delivered),
+        classes=_total((f["written"] for f in delivered), key=int),
+        dropped=_total(f["dropped"] for f in delivered if "dropped" in f),
+        in_no_client_tile=None if cut is None else points_out - sum(cut),
     )
+
+
+def _total(counts: Iterable[Mapping[str, int]], key: Callable[[str], Any] = str) -> dict[str, int]:
+    """Counts by name together, in the order of the names."""
+    total: Counter[str] = Counter()
+    for one in counts:
+        total.update(one)
+    return {name: total[name] for name in sorted(total, key=key)}
 
 
 def _header_changes(done: Receipts) -> dict[str, int]:
@@ -287,6 +313,9 @@ def _provenance(done: Receipts, context: Context, reference: Iterable[str]) -> P
     )
     files = {role: getattr(context.workflow, role) for role in ("aoi", "water", "breaklines")}
     inputs += [input_file(context.resolve(n), role) for role, n in files.items() if n is not None]
+    tiles = context.workflow.outputs.client_tiles
+    if tiles is not None:
+        inputs.append(input_file(context.resolve(tiles.polygons), "client_tiles"))
     geoid = context.workflow.outputs.geoid
     grid = None if geoid is None else grid_file(geoid.grid, context.resolve(geoid.grid))
     if grid is not None:

@@ -13,6 +13,18 @@ from spl_batch.airborne.report.verdicts import (
     terrain_statistics,
     verdicts,
 )
+from spl_batch.constants import (
+    CLASS_BUILDING,
+    CLASS_GROUND,
+    CLASS_HIGH_NOISE,
+    CLASS_HIGH_VEGETATION,
+    CLASS_LOW_NOISE,
+    CLASS_LOW_VEGETATION,
+    CLASS_MEDIUM_VEGETATION,
+    CLASS_UNCLASSIFIED,
+    CLASS_WATER,
+    CLASS_WIRE,
+)
 from spl_batch.engine.report import number_format as text
 from spl_batch.engine.report.page import Front, render_page
 from spl_batch.engine.report.picture import Picture
@@ -39,6 +51,23 @@ LAYERS: Final = (
     "strips",
 )
 """Maps that a reader switches between."""
+
+CLASS_NAMES: Final[Mapping[int, str]] = MappingProxyType(
+    {
+        0: "never classified",
+        CLASS_UNCLASSIFIED: "unclassified",
+        CLASS_GROUND: "ground",
+        CLASS_LOW_VEGETATION: "low vegetation",
+        CLASS_MEDIUM_VEGETATION: "medium vegetation",
+        CLASS_HIGH_VEGETATION: "high vegetation",
+        CLASS_BUILDING: "building",
+        CLASS_LOW_NOISE: "low noise",
+        CLASS_WATER: "water",
+        CLASS_WIRE: "wire",
+        CLASS_HIGH_NOISE: "high noise",
+    }
+)
+"""Classes of LAS that this project gives or reads [LAS 1.4 R15, table 17]."""
 
 OF_PHOTONS: Final = ("noise", "survey")
 """Sections that linear-mode lidar has nothing to say in."""
@@ -115,6 +144,7 @@ def render(report: Report, pictures: Mapping[str, Picture]) -> str:
         ],
         shares=_shares(report.counts),
         set_aside=_set_aside(report.counts),
+        classes=[(_class_name(int(k)), n) for k, n in report.counts.classes.items()],
         how=HOW,
         answers=answers(row.verdict for row in report.requirements),
         level=parameter(report, "requirements.quality_level") or "",
@@ -163,6 +193,7 @@ def _facts(survey: Survey, *, photons: bool, numbered: bool) -> Iterator[str]:
         yield f"{survey.crs} ({survey.crs_name})" if words else survey.crs
     else:
         yield "no CRS"
+    yield from filter(None, (survey.organisation, survey.contact, survey.licence))
 
 
 def _cards(report: Report) -> list[tuple[str, str, str]]:
@@ -173,8 +204,8 @@ def _cards(report: Report) -> list[tuple[str, str, str]]:
     cards = []
     if terrain is not None:
         name, statistics = terrain
-        remark = f"on {text.surface_name(name)}, mean {text.centimetres(statistics.mean)}"
-        cards.append(("DTM RMSE", text.centimetres(statistics.rmse), remark))
+        remark = f"on {text.surface_name(name)}, mean {report.survey.units.height(statistics.mean)}"
+        cards.append(("DTM RMSE", report.survey.units.height(statistics.rmse), remark))
     cards.append(
         ("Points in", text.large(counts.points_in), f"{text.number(counts.points_out)} out")
     )
@@ -216,6 +247,11 @@ def _shares(counts: Counts) -> list[tuple[str, str, int, float]]:
     )
     whole = sum(count for _, _, count in parts)
     return [(key, label, n, n / whole) for key, label, n in parts if n] if whole else []
+
+
+def _class_name(number: int) -> str:
+    """An ASPRS class in words."""
+    return f"{number} {CLASS_NAMES[number]}" if number in CLASS_NAMES else f"class {number}"
 
 
 def _set_aside(counts: Counts) -> list[tuple[str, int]]:

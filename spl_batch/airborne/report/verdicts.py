@@ -6,7 +6,6 @@ from typing import Any, Final
 from spl_batch.airborne.report.model import Counts, Report
 from spl_batch.engine.report.number_format import (
     as_ascii,
-    centimetres,
     number,
     of_all,
     percent,
@@ -82,11 +81,11 @@ def terrain_accuracy(report: Report) -> str | None:
     if terrain is None or report.accuracy is None:
         return None
     name, statistics = terrain
-    said = f"RMSE {centimetres(statistics.rmse)} on {surface_name(name)}"
+    said = f"RMSE {report.survey.units.height(statistics.rmse)} on {surface_name(name)}"
     overall = report.accuracy.dtm.get("all")
     if name == "all" or overall is None or overall.rmse is None:
         return said
-    return f"{said} ({centimetres(overall.rmse)} on all surfaces)"
+    return f"{said} ({report.survey.units.height(overall.rmse)} on all surfaces)"
 
 
 def mostly_unfiltered(counts: Counts, method: str) -> str:
@@ -108,6 +107,8 @@ def screen_summary(report: Report) -> list[tuple[str, str]]:
     if photon_counting(report):
         noise = [("background noise", counts.background), ("afterpulses", counts.afterpulse)]
         classes = [("signal", counts.signal), *noise, *classes]
+    dropped = sum(counts.dropped.values())
+    not_read += f", {number(dropped)} dropped" if dropped else ""
     rows = [
         ("points", f"{number(counts.points_in)} in, {number(counts.points_out)} out{not_read}"),
         *((label, _with_share(count, counts.points_in)) for label, count in classes),
@@ -149,10 +150,10 @@ def _accuracy_verdict(report: Report) -> Verdict:
         if rmse <= limit:
             return Verdict(
                 "good",
-                f"{opening}within the {centimetres(limit)} that USGS {level} allows at "
-                "checkpoints.",
+                f"{opening}within the {report.survey.units.height(limit)} that USGS {level} "
+                "allows at checkpoints.",
             )
-    least = centimetres(USGS_LIMITS[-1][0])
+    least = report.survey.units.height(USGS_LIMITS[-1][0])
     return Verdict("attention", f"{opening}above the {least} that USGS QL3 allows at checkpoints.")
 
 
@@ -172,16 +173,16 @@ def _at_checkpoints(report: Report) -> str | None:
     if report.checkpoints is None or report.checkpoints.nva.rmse_v1_m is None:
         return None
     nva = report.checkpoints.nva
-    return f"RMSE {centimetres(nva.rmse_v1_m)} at {number(nva.n)} open checkpoints"
+    return f"RMSE {report.survey.units.height(nva.rmse_v1_m)} at {number(nva.n)} open checkpoints"
 
 
 def _conservation_verdict(report: Report) -> Verdict:
     counts = report.counts
     if counts.points_in == 0:
         return Verdict("bad", "No points were read.")
-    if counts.points_in == counts.points_out:
+    gap = counts.points_in - counts.points_out - sum(counts.dropped.values())
+    if not gap:
         return _all_delivered(report)
-    gap = counts.points_in - counts.points_out
     change = f"{number(abs(gap))} points {'fewer' if gap > 0 else 'more'} out than in"
     return Verdict("bad", f"{change}: do not use the clouds before this is explained.")
 
@@ -198,6 +199,10 @@ def _all_delivered(report: Report) -> Verdict:
         missing = f"about {number(counts.not_read)} in files that cannot be read are not"
         text = f"Every point that could be read is delivered, {points} in and out; {missing}."
         return Verdict("attention", text)
+    if counts.dropped:
+        left_out = ", ".join(f"{number(n)} {kind}" for kind, n in counts.dropped.items())
+        text = f"Every point is accounted for: {points} in, {number(counts.points_out)} out"
+        return Verdict("good", f"{text}; outputs.drop left out {left_out}.")
     return Verdict("good", f"Every point is delivered: {points} in and out.")
 
 

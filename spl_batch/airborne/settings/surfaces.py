@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from spl_batch.engine.settings.base import Positive, Section, Share
+from spl_batch.engine.settings.base import Length, Positive, Section, Share
 
 
 class PtdSettings(Section):
@@ -62,13 +62,13 @@ class ProductSettings(Section):
     """Rasters."""
 
     cell_m: Positive = Field(1.0, description="Edge of a raster cell [m].")
-    void_max_m: Positive = Field(
-        20.0, description="Farthest ground point that a DTM cell may use [m]."
+    void_max_m: Length = Field(
+        20.0, description="Farthest ground point that a DTM cell may use [m], or as 60 ft."
     )
-    edge_max_m: Positive | None = Field(
+    edge_max_m: Length | None = Field(
         None,
-        description="Longest edge of a triangle at the rim of the terrain [m]; by default 15 "
-        "times the spacing of its ground.",
+        description="Longest edge of a triangle at the rim of the terrain [m], or as 50 ft; by "
+        "default 15 times the spacing of its ground.",
     )
     dsm_void_max_m: float = Field(3.0, ge=0, description="Farthest DSM cell that fills a void [m].")
     dsm_near_m: Positive = Field(

@@ -11,6 +11,10 @@ PRF_HZ: Final = (1e3, 1e6)
 """Pulse rates of airborne lidars lie well within; a slip of kHz or MHz does not [Hz]."""
 
 
+SPDX: Final = r"[\w.+-]+"
+"""Pattern of a licence's identifier, as STAC takes it."""
+
+
 def _in_hertz(prf_hz: float | None) -> None:
     """Refuse a pulse rate in another unit."""
     if prf_hz is not None and not PRF_HZ[0] <= prf_hz <= PRF_HZ[1]:
@@ -27,7 +31,7 @@ class SurveySettings(Section):
     crs: str | None = Field(None, description="CRS for LAS files that carry none, e.g. EPSG:32615.")
     vertical_crs: str | None = Field(
         None,
-        description="Vertical CRS of the heights, in metres, where the files name none, e.g. "
+        description="Vertical CRS of the heights, where the files name none, e.g. "
         "EPSG:5703: clouds, rasters and catalogues get a compound CRS. No height changes.",
     )
     flightlines: str | tuple[str, ...] = Field(
@@ -48,6 +52,18 @@ class SurveySettings(Section):
     align: Literal["none", "vertical"] = Field(
         "none",
         description="vertical: shift the heights of flightlines so that those that overlap fit.",
+    )
+    organisation: str | None = Field(
+        None, min_length=1, description="Who delivers the results, for catalogue and report."
+    )
+    contact: str | None = Field(
+        None, min_length=1, description="Person or address to ask, for catalogue and report."
+    )
+    licence: str | None = Field(
+        None,
+        pattern=rf"^({SPDX}|https?://\S+)$",
+        description="Licence of the results, for catalogue and report: an identifier of SPDX "
+        "such as CC-BY-4.0, or a URL.",
     )
 
     @field_validator("sensor")
@@ -118,8 +134,21 @@ class GeoidSettings(Section):
         "knows, or a path relative to this file."
     )
     crs: str | None = Field(
-        None, description="Vertical CRS of heights above it, in metres, e.g. EPSG:5703."
+        None,
+        description="Vertical CRS of heights above it, in the unit of heights, e.g. EPSG:5703.",
     )
+
+
+class ClientTileSettings(Section):
+    """Tiles that a client names by polygons: clouds and rasters are cut by them."""
+
+    polygons: str = Field(
+        description="Polygons of the tiles, any vector format, a feature for each."
+    )
+    name: str = Field(
+        "name", min_length=1, description="Field of that file with the names of the tiles."
+    )
+    format: Literal["laz", "copc"] = Field("laz", description="Format of their clouds.")
 
 
 class OutputSettings(StoreSettings):
@@ -131,7 +160,25 @@ class OutputSettings(StoreSettings):
         description="Classes of delivered points: all; or noise, where a signal point keeps the "
         "class that the input gave it.",
     )
+    drop: tuple[Literal["noise", "withheld", "outside"], ...] = Field(
+        (),
+        description="Points that delivered clouds are without, counted in the report: noise of "
+        "classes 7 and 18, those with the flag withheld, those outside aoi.",
+    )
+    height_above_ground: bool = Field(
+        False,
+        description="Extra bytes HeightAboveGround: height of each point above dtm.tif.",
+    )
     tiles: Literal["none", "laz", "copc"] = Field("none", description="Points by tile as well.")
+    client_tiles: ClientTileSettings | None = Field(
+        None,
+        description="Clouds and rasters cut by a client's polygons, in the folder client_tiles.",
+    )
+    contour_interval: Positive | None = Field(
+        None,
+        description="Contours of the terrain in contours.gpkg, so far apart in the unit of "
+        "dtm.tif; by default none.",
+    )
     geoid: GeoidSettings | None = Field(
         None,
         description="Where heights are above the ellipsoid: dtm_geoid.tif and dsm_geoid.tif, "
@@ -140,6 +187,23 @@ class OutputSettings(StoreSettings):
     copc: bool = Field(
         False, description="Each classified cloud once more as COPC, in the folder copc."
     )
+    crs: str | None = Field(
+        None,
+        description="CRS in which clouds and rasters are written once more, in the folder "
+        "reprojected, e.g. EPSG:6344+5703; with a vertical part heights are transformed as well.",
+    )
+    cell: Positive | None = Field(
+        None,
+        description="Edge of a raster cell there, in the unit of crs, such as 3 for 3 feet; by "
+        "default products.cell_m in that unit.",
+    )
+
+    @model_validator(mode="after")
+    def _cell_of_something(self) -> Self:
+        if self.cell is not None and self.crs is None:
+            raise ValueError("cell is that of rasters in another CRS: name crs as well")
+        return self
+
     catalogue: bool = Field(
         True,
         description="STAC catalogue, virtual point cloud, index.gpkg.",

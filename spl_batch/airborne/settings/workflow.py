@@ -73,10 +73,16 @@ class Workflow(BaseWorkflow):
     def faults(self) -> Iterator[str]:
         """What is wrong that no single key shows."""
         try:
-            dead_m = self.sensor.dead_m
+            sensor = self.sensor
         except WorkflowError as unknown_preset:
             yield str(unknown_preset)
         else:
+            if self.filtering and not sensor.photons:
+                yield (
+                    f"survey.sensor: {sensor.name} counts no single photons, so true points would "
+                    "be taken for noise; set filter.method: none and afterpulse.enabled: false"
+                )
+            dead_m = sensor.dead_m
             lags = self.afterpulse.enabled and self.afterpulse.method == "beamlet"
             if lags and self.afterpulse.lag_max_m <= dead_m:
                 yield (
@@ -113,6 +119,8 @@ class Workflow(BaseWorkflow):
                 "classes.vegetation: roofs become high vegetation where the input has no class 6; "
                 "write classes.building: true"
             )
+        if "outside" in self.outputs.drop and self.aoi is None:
+            yield "outputs.drop: outside is without effect, as no aoi is named"
         if self.outputs.diagnostics and method != "vsaes":
             yield f"outputs.diagnostics: p_value is NaN everywhere, as {chosen} knows none"
 

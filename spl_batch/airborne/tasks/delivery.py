@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rasterio.windows import Window
 
 from spl_batch.airborne.catalogue.catalogues import write_catalogues
+from spl_batch.airborne.catalogue.delivered_files import Publisher
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.products.cell_values import shape_of
 from spl_batch.airborne.products.wide_voids import Void, void_findings, wide_voids
@@ -21,6 +22,7 @@ from spl_batch.airborne.store.flown_lines import read_shifts
 from spl_batch.airborne.store.label_tables import label_files, read_labelled_tile, units_of
 from spl_batch.airborne.store.raster_cells import stored_blocks
 from spl_batch.airborne.tasks import index, pulses
+from spl_batch.airborne.tasks.delivered_points import PLACE, Dropping, Terrain, gone
 from spl_batch.airborne.tasks.stretches import Copies
 from spl_batch.constants import FLAG_WITHHELD, NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.engine.findings import Finding
@@ -36,7 +38,7 @@ from spl_batch.formats.las.frame import Extent, header_changes
 from spl_batch.formats.las.header import EXTERNAL_BIT, read_header
 from spl_batch.formats.las.known_records import broken_records
 from spl_batch.formats.las.layers import GIVEN
-from spl_batch.formats.las.records import record_layout
+from spl_batch.formats.las.records import HEIGHT, record_layout
 from spl_batch.formats.las.writer import (
     KEEP_BUT_GROUND,
     KEEP_CLASS,
@@ -47,7 +49,7 @@ from spl_batch.formats.las.writer import (
     write_points,
 )
 from spl_batch.formats.rasters.geotiff import write_cog
-from spl_batch.formats.rasters.parts import opened
+from spl_batch.formats.rasters.parts import opened, place_m
 from spl_batch.formats.verified.parquet_npz import read_arrays, read_columns
 from spl_batch.lattice.tables import COLUMNS, PointTable
 from spl_batch.lattice.tiles import Bounds, cells_of_runs, parse_cell, quanta
@@ -61,6 +63,9 @@ BLOCK: Final = 1024
 _DELIVERED = ("noise_class", "classification")
 _DIAGNOSTICS = ("noise_density", "p_value")
 """Labels that are written always, and where they are asked for."""
+
+_FOUND_HERE = (HEIGHT, "flags")
+"""What no unit has labelled: it follows from a point's place, or lies in its tile."""
 
 
 class _FileLabels:
@@ -85,7 +90,7 @@ class _FileLabels:
     def _load(self, start: int, stop: int) -> None:
         self.start, self.stop = start, min(stop, int(self.args["points"]))
         n = self.stop - self.start
-        fill = {"noise_class": 255, "classification": KEEP_CLASS, "set_flags": 0}
+        fill = {"noise_class": 255, "classification": KEEP_CLASS, "set_flags": 0, "flags": 0}
         self.values = {
             k: np.full(n, fill.get(k, np.nan), dtype=COLUMNS[k].dtype) for k in self.names
         }
@@ -102,20 +107,28 @@ class _FileLabels:
         classes, noise_class = self.values["classification"], self.values["noise_class"]
         _keep(classes, noise_class, self.context)
         noise_class[copied] = NOISE_NOT_ASSESSED
+        self.values["copied"] = copied
         self.copied += np.bincount(classes[copied], minlength=256)
         if self.context.workflow.classes.withheld:
             self.values["set_flags"][copied] |= FLAG_WITHHELD
 
     def _tiles(self) -> Iterator[tuple[PointTable, bool]]:
         """Points of each tile that count, and their copies with the same labels."""
-        store, columns = self.context.store, ("source", "index")
-        labels = units_of(self.args, self.names)
+        store = self.context.store
+        high = HEIGHT in self.names
+        columns = ("source", "index", *PLACE * high, *("flags",) * ("flags" in self.names))
+        labels = units_of(self.args, [name for name in self.names if name not in _FOUND_HERE])
+        shifts = read_shifts(self.args, store) if high else None
+        terrain = Terrain(self.args, self.context) if high else None
         files = label_files(store)
-        for tile in self.args["tiles"]:
-            table = read_labelled_tile(store, parse_cell(tile), columns, labels, files)
+        for name in self.args["tiles"]:
+            tile = parse_cell(name)
+            table = read_labelled_tile(store, tile, columns, labels, files, shifts)
+            if terrain is not None:
+                table = table.with_columns(HeightAboveGround=terrain.heights_above(tile, table))
             yield table, False
-            if tile in self.args["copies"]:
-                copies = Copies(**read_arrays(store.path("copies", f"{tile}.npz")))
+            if name in self.args["copies"]:
+                copies = Copies(**read_arrays(store.path("copies", f"{name}.npz")))
                 yield copies.of(table), True
 
 
@@ -134,12 +147,15 @@ def _keep(
 
 def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
     """Write one input file again with its labels: every point once, in order."""
-    diagnostics = context.workflow.outputs.diagnostics
+    asked = context.workflow.outputs
+    diagnostics, heights = asked.diagnostics, asked.height_above_ground
     flags = context.workflow.classes.flags
     lines = read_shifts(args, context.store)
     shifted = None if lines is None else lines.of_file(args["spans"])
     names = (*_DELIVERED, *_DIAGNOSTICS * diagnostics, *("set_flags",) * flags)
+    names += (*(HEIGHT,) * heights, *("flags",) * bool(asked.drop))
     labels, classes = _FileLabels(args, context, names), np.zeros((2, 256), np.int64)
+    dropping = Dropping(asked.drop, args["points"]) if asked.drop else None
     target = context.output / "laz" / args["delivered"]
     source = Path(args["path"])
     stamp = as_indexed("index_file", args, context)
@@ -150,11 +166,13 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
             labels=labels,
             diagnostics=diagnostics,
             flags=flags,
+            heights=heights,
             crs=context.crs,
             decoded=_decoded(args, context),
             classes=classes,
             shifted=shifted,
             standard=args["standard"],
+            kept=dropping,
         )
     header, copy, outputs = read_header(source), read_header(target), [target]
     waveforms = args["waveforms"]
@@ -166,18 +184,21 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
         ):
             shutil.copyfile(waveforms["path"], temporary)
     broken = Counter(broken_records(header))
-    added = added_dimensions(record_layout(header), diagnostics=diagnostics)
+    added = added_dimensions(record_layout(header), diagnostics=diagnostics, heights=heights)
     mended = Counter(
         f"extra dimension {name!a} is described anew"
         for name in conversion(record_layout(header), added).mended
     )
     labels.copied[KEEP_BUT_GROUND:] = 0
+    labels.copied -= 0 if dropping is None else dropping.copied
     facts = {
         "name": args["delivered"],
         "points": written,
         "noise_class": _nonzero(labels.counts),
         "classes": _nonzero(classes.sum(axis=0) - labels.copied),
+        "written": _nonzero(classes.sum(axis=0)),
         "assessed": _nonzero(classes[1]),
+        **({} if dropping is None else dropping.facts()),
         "records_left_out": broken.total(),
         "header_changes": header_changes(header, copy),
         "findings": [*_of_header(broken, "left_out"), *_of_header(mended, "changed")],
@@ -229,12 +250,14 @@ def _nonzero(counts: NDArray[np.int64]) -> dict[str, int]:
 
 def deliver_tile(args: Mapping[str, Any], context: Context) -> Produced:
     """Write a tile's points with their labels."""
-    names = (*_DELIVERED, *("set_flags",) * context.workflow.classes.flags)
+    asked, flags = context.workflow.outputs, context.workflow.classes.flags
+    names = (*_DELIVERED, *("set_flags",) * flags)
     cell = parse_cell(args["tile"])
     labels = units_of(args, names)
     columns = (
         *("x", "y", "z", "gps_time", "channel", "return_number", "number_of_returns"),
         *("intensity", "input_class"),
+        *("flags",) * bool(asked.drop),
     )
     lines = read_shifts(args, context.store)
     table = read_labelled_tile(context.store, cell, columns, labels, shifts=lines)
@@ -242,7 +265,13 @@ def deliver_tile(args: Mapping[str, Any], context: Context) -> Produced:
     labelled = table["classification"].copy()
     _keep(labelled, table["noise_class"], context)
     table = table.with_columns(classification=kept_classes(labelled, table["input_class"]))
-    copc = context.workflow.outputs.tiles == "copc"
+    if asked.height_above_ground:
+        above = Terrain(args, context).heights_above(cell, table)
+        table = table.with_columns(HeightAboveGround=above)
+    for kind in asked.drop:
+        set_flags = table["set_flags"] if flags else np.zeros(len(table), np.uint8)
+        table = table.take(~gone(kind, table["classification"], set_flags, table["flags"]))
+    copc = asked.tiles == "copc"
     target = context.output / "tiles" / f"{args['tile']}{'.copc' if copc else ''}.laz"
     extra = {"noise_class": table["noise_class"]}
     write_points(
@@ -270,7 +299,9 @@ def deliver_catalogue(args: Mapping[str, Any], context: Context) -> Produced:
         _outlined(args["cells"], context),
         {one["number"]: one["id"] for one in args["flightlines"]},
     )
-    written, remarks = write_catalogues(context.output, name, context.crs, args, drawn)
+    survey = context.workflow.survey
+    publisher = Publisher(survey.organisation, survey.contact, survey.licence)
+    written, remarks = write_catalogues(context.output, name, context.crs, args, drawn, publisher)
     facts = {"name": "catalogue", "findings": [Finding("D01", {"what": text}) for text in remarks]}
     return Produced(written, facts)
 
@@ -298,23 +329,24 @@ def deliver_geoid(args: Mapping[str, Any], context: Context) -> Produced:
         for row, col in product(range(0, rows, BLOCK), range(0, columns, BLOCK)):
             size = min(BLOCK, columns - col), min(BLOCK, rows - row)
             heights = model.read(1, window=Window(col, row, *size))
-            east = place.c + (col + np.arange(heights.shape[1]) + 0.5) * place.a
-            north = place.f - (row + np.arange(heights.shape[0]) + 0.5) * place.a
+            east = left_m + (col + np.arange(heights.shape[1]) + 0.5) * cell_m
+            north = top_m - (row + np.arange(heights.shape[0]) + 0.5) * cell_m
             x, y = (side.ravel() for side in np.meshgrid(east, north))
-            above = heights - geoid.heights(x, y).reshape(heights.shape)
+            height_m = heights * context.units.vertical_m
+            above = height_m - geoid.heights(x, y).reshape(heights.shape)
             known = heights != np.float32(NODATA)
             beyond += int(np.count_nonzero(known & np.isnan(above)))
             kept = np.where(known & ~np.isnan(above), above, NODATA)
             yield row, col, kept.astype(np.float32)
 
     with opened(source) as model:
-        place = model.transform
+        left_m, top_m, cell_m = place_m(model)
         write_cog(
             target,
             blocks(),
             shape=model.shape,
-            origin_xy_m=(place.c, place.f),
-            cell_m=place.a,
+            origin_xy_m=(left_m, top_m),
+            cell_m=cell_m,
             crs=geoid.crs_above(named.crs).to_wkt(),
             description=args["meaning"],
             unit=args["unit"],

@@ -80,6 +80,7 @@ class Tally:
         self._low = np.full(3, np.iinfo(np.int64).max)
         self._high = np.full(3, np.iinfo(np.int64).min)
         self._channels: set[int] = set()
+        self.boxes: list[list[int]] = []  #: West, south, east, north of each chunk [quanta].
 
     def add(self, table: PointTable) -> None:
         """Count one chunk in."""
@@ -94,9 +95,10 @@ class Tally:
         self.counts["withheld_unclassified"] += int(np.count_nonzero(unclassified))
         self.counts["vendor_noise"] += int(np.count_nonzero(table.has(PointFlag.VENDOR_NOISE)))
         self.counts["excluded"] += int(np.count_nonzero(excluded))
-        for axis, name in enumerate("xyz"):
-            self._low[axis] = min(self._low[axis], int(table[name].min()))
-            self._high[axis] = max(self._high[axis], int(table[name].max()))
+        low = np.array([table[name].min() for name in "xyz"], np.int64)
+        high = np.array([table[name].max() for name in "xyz"], np.int64)
+        self._low, self._high = np.minimum(self._low, low), np.maximum(self._high, high)
+        self.boxes.append([*low[:2].tolist(), *high[:2].tolist()])
         self._channels.update(np.flatnonzero(np.bincount(table["channel"])).tolist())
         timed = table.select(_TIMED).take(rows_of(valid & ~excluded))
         self._add_times(self._without_lone(timed))
@@ -195,6 +197,7 @@ class Tally:
             "counts": np.array(list(self.counts.values())),
             "bounds": np.array([self._low, self._high]),
             "channels": np.array(sorted(self._channels), np.int64),
+            "boxes": np.array(self.boxes, np.int64).reshape(-1, 4),
             "lines": np.array(sorted(self._rates), np.int64),
         }
         for psid, rate in self._rates.items():
@@ -211,6 +214,7 @@ class Tally:
         self._low = np.minimum(self._low, arrays["bounds"][0])
         self._high = np.maximum(self._high, arrays["bounds"][1])
         self._channels.update(arrays["channels"].tolist())
+        self.boxes += arrays["boxes"].tolist()
         for psid in arrays["lines"].tolist():
             spans = arrays[f"{psid}/spans"].tolist()
             self._spans.setdefault(psid, []).extend([a, b, int(n)] for a, b, n in spans)

@@ -45,6 +45,9 @@ POSITIONS_S = 64
 CHUNK_POINTS = 1 << 18
 """Points read at once from an input file [count]."""
 
+BOXES = "boxes"
+"""Name of the array of a file's index with the box of each chunk [quanta]."""
+
 PART_CHUNKS = 8
 """Chunks of a part of a file: several workers index a large one, a part each [count]."""
 
@@ -96,7 +99,8 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
     tally = found.tally
     index = context.store.path("index", f"{args['source']}.npz")
     tracks = {f"{psid}/{k}": v for psid, t in sorted(tally.tracks.items()) for k, v in t.items()}
-    write_arrays(index, tracks | found.extent.to_arrays())
+    boxes = {BOXES: np.array(tally.boxes, np.int64).reshape(-1, 4)}
+    write_arrays(index, tracks | found.extent.to_arrays() | boxes)
     contradiction = contradicted_bit(tally.standard, adjusted_bit=header.adjusted_standard_bit)
     known = tally.facts()
     facts = {
@@ -184,6 +188,7 @@ def _read(args: Mapping[str, Any], context: Context, header: LasFacts, part: int
             stop=stop,
             chunk=CHUNK_POINTS,
             watch=watch,
+            units=context.units,
         ):
             found.tally.add(table)
             add_points(writer, table)

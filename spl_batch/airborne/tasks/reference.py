@@ -37,7 +37,9 @@ def reference(args: Mapping[str, Any], context: Context) -> Produced:
     points, written, squares = 0, [], {}
     remove(context.store.path("reference", args["file"]))  # squares of another cutting
     with unchanged(path, args["stamp"]), scratch_folder(context.store.local / "squares") as folder:
-        for table in iter_points(path, channel_dimension=None, source=0, chunk=CHUNK_POINTS):
+        for table in iter_points(
+            path, channel_dimension=None, source=0, chunk=CHUNK_POINTS, units=context.units
+        ):
             points += len(table)
             _put_down(_records(table), folder, edge, margin)
         for square in sorted(folder.iterdir()):

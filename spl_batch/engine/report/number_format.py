@@ -115,6 +115,17 @@ def centimetres(metres: float | None) -> str:
     return DASH if metres is None else f"{number(metres * 100, 1)}{THIN}cm"
 
 
+def height(metres: float | None, unit: tuple[str, float]) -> str:
+    """A small height in the unit of delivery, with centimetres beside; of metres these alone.
+
+    ``unit``: its name, and the metres in it.
+    """
+    name, unit_m = unit
+    if metres is None or unit_m == 1.0:
+        return centimetres(metres)
+    return f"{number(metres / unit_m, 3)}{THIN}{name} ({centimetres(metres)})"
+
+
 def metres(value: float | None, digits: int = 2) -> str:
     """Metres with a fixed number of decimals."""
     return DASH if value is None else f"{number(value, digits)}{THIN}m"

@@ -1,15 +1,30 @@
 """Base of the workflow and of its sections, and the kinds of numbers in them."""
 
+import re
 from collections.abc import Iterable
-from typing import Annotated
+from typing import Annotated, Final
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator
 
+from spl_batch.constants import FOOT_M, US_FOOT_M
 from spl_batch.engine.findings import table
 from spl_batch.errors import named
 
 Positive = Annotated[float, Field(gt=0)]
 Share = Annotated[float, Field(gt=0, lt=1)]
+
+_WITH_UNIT: Final = re.compile(r"\s*([0-9.]+)\s*(ft|us-ft|m)\s*")
+_METRES_IN: Final = {"m": 1.0, "ft": FOOT_M, "us-ft": US_FOOT_M}
+
+
+def _in_metres(value: object) -> object:
+    """A length with a unit, in metres; anything else as it is."""
+    found = _WITH_UNIT.fullmatch(value) if isinstance(value, str) else None
+    return value if found is None else float(found[1]) * _METRES_IN[found[2]]
+
+
+Length = Annotated[Positive, BeforeValidator(_in_metres, json_schema_input_type=float | str)]
+"""Metres, or a text with a unit: ``50 ft``, ``50 us-ft``, ``15 m``."""
 
 
 class Section(BaseModel):

@@ -4,7 +4,6 @@ A lock of :mod:`filelock` would empty the file, by which tasks of a killed run k
 has begun (:func:`spl_batch.formats.files.atomic.owned_by`).
 """
 
-import fcntl
 import json
 import os
 import socket
@@ -18,6 +17,7 @@ from typing import Any, Final
 
 from spl_batch.errors import WorkflowError, reason_of
 from spl_batch.formats.files.atomic import stop_if_full
+from spl_batch.formats.files.locks import lock
 
 PATIENCE_S: Final = 1.0
 """How long a run waits for the lock [s]; a look at it by :func:`holder` takes no time."""
@@ -85,7 +85,7 @@ def holder(output: Path) -> dict[str, Any] | None:
     path = lock_file(output)
     try:
         with path.open(encoding="utf-8") as stream:
-            fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            lock(stream, shared=True)
     except BlockingIOError:
         return _mark(path)
     except OSError:
@@ -97,7 +97,7 @@ def _take(stream: Any, output: Path) -> None:
     until = time.monotonic() + PATIENCE_S
     while True:
         try:
-            return fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return lock(stream)
         except BlockingIOError:
             if time.monotonic() > until:
                 who = _mark(lock_file(output))

@@ -5,7 +5,6 @@ What there is to do is declared by :mod:`spl_batch.engine.tasks.step`.
 
 import hashlib
 import json
-import resource
 import sys
 import time
 import traceback
@@ -275,5 +274,11 @@ def _peak_rss_mb() -> float:
     # The kernel's record of this program; ru_maxrss also counts the one that started it.
     with suppress(OSError, StopIteration), Path("/proc/self/status").open() as lines:
         return int(next(x for x in lines if x.startswith("VmHWM:")).split()[1]) / (1 << 10)
+    if sys.platform == "win32":
+        import psutil  # noqa: PLC0415 - for Windows alone
+
+        return psutil.Process().memory_info().peak_wset / (1 << 20)
+    import resource  # noqa: PLC0415 - Windows has none
+
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (1 << 20 if sys.platform == "darwin" else 1 << 10)

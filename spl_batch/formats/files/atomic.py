@@ -28,6 +28,9 @@ from spl_batch.formats.files.remote import (
 SCRATCH: Final = ".spl-part"
 """How names of files and folders end that are not finished."""
 
+_WINDOWS: Final = os.name == "nt"
+"""There no folder can be opened, and a file is forced to disk only where it may be written."""
+
 _SCRATCH_NAME: Final = re.compile(rf"\..+\.[0-9a-f]{{16}}{re.escape(SCRATCH)}")
 _CONCERNS_EVERYTHING: Final = {
     errno.ENOSPC: "disk full; free some space and run again",
@@ -36,7 +39,10 @@ _CONCERNS_EVERYTHING: Final = {
     "where it fits",
 }
 _OWNER: Final[ContextVar[tuple[str, str] | None]] = ContextVar("owner", default=None)
-_NOT_ALLOWED: Final = {errno.EACCES, errno.EROFS, errno.EPERM, errno.ENOTDIR, errno.EEXIST}
+_NOT_ALLOWED: Final = {
+    *(errno.EACCES, errno.EROFS, errno.EPERM),
+    *(errno.ENOTDIR, errno.EISDIR, errno.EEXIST),
+}
 
 
 def scratch_name(path: Path) -> Path:
@@ -193,8 +199,8 @@ def real_path(path: str | Path) -> Path:
 
 
 def sync_folder(path: Path) -> None:
-    """Force a folder's entries to disk."""
-    if is_remote(path):
+    """Force a folder's entries to disk; Windows does so itself."""
+    if is_remote(path) or _WINDOWS:
         return
     descriptor = os.open(path, os.O_RDONLY)
     try:
@@ -302,7 +308,7 @@ def _put_in_place(temporary: Path, path: Path, *, durable: bool) -> None:
 def _sync(path: Path) -> None:
     """Force a file, or all files and entries of a directory, to disk."""
     if not path.is_dir():
-        with path.open("rb") as stream:
+        with path.open("r+b" if _WINDOWS else "rb") as stream:
             os.fsync(stream.fileno())
         return
     for place, _, files in os.walk(path):

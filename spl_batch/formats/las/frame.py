@@ -22,7 +22,7 @@ from pyproj.enums import WktVersion
 from pyproj.exceptions import CRSError
 
 from spl_batch import __version__
-from spl_batch.errors import WorkflowError, as_input_fault, reason_of
+from spl_batch.errors import as_input_fault
 from spl_batch.formats.crs import WKT_KEY
 from spl_batch.formats.files.atomic import replacing
 from spl_batch.formats.gps_clock import TimeStandard
@@ -145,20 +145,17 @@ def _read_back(path: Path) -> None:
 @contextmanager
 def output_file(path: Path) -> Iterator[WatchedFile]:
     """Open a file that takes its name when the block succeeds."""
-    try:
-        with replacing(path) as temporary, temporary.open("w+b") as file:
-            watched = WatchedFile(file)
-            try:
-                yield watched
-                watched.flush()
-            except lazrs.LazrsError:
-                if watched.error is not None:
-                    raise watched.error from None
-                raise
-            with as_input_fault(f"{path} as it was written"):
-                _read_back(temporary)
-    except (FileExistsError, IsADirectoryError, NotADirectoryError) as error:
-        raise WorkflowError(f"{path}: cannot be written: {reason_of(error)}") from error
+    with replacing(path) as temporary, temporary.open("w+b") as file:
+        watched = WatchedFile(file)
+        try:
+            yield watched
+            watched.flush()
+        except lazrs.LazrsError:
+            if watched.error is not None:
+                raise watched.error from None
+            raise
+        with as_input_fault(f"{path} as it was written"):
+            _read_back(temporary)
 
 
 class Extent:

@@ -18,6 +18,7 @@ from spl_batch.formats.crs import (
     GEO_KEYS,
     NAMELESS,
     WKT_KEY,
+    compound,
     crs_from_geotiff,
     crs_from_wkt,
     crs_name,
@@ -26,6 +27,8 @@ from spl_batch.formats.crs import (
     same_heights,
     vertical,
 )
+from spl_batch.formats.las.chunks import LASZIP_KEY
+from spl_batch.formats.las.frame import wkt_vlr
 from spl_batch.formats.las.header import (
     EXTERNAL_BIT,
     WAVEFORM_FORMATS,
@@ -36,6 +39,7 @@ from spl_batch.formats.las.header import (
     open_input,
     waveform_file,
 )
+from spl_batch.formats.las.records import EXTRA_BYTES_KEY
 
 _PARSED_BYTES: Final = 1 << 20
 """Longest record that is parsed [byte]: known ones are short, longer ones are copied."""
@@ -185,3 +189,33 @@ def _content(path: Path, record: Vlr | Evlr) -> bytes | None:
     with path.open("rb") as file:
         file.seek(record.start)
         return file.read(record.size)
+
+
+def kept_records(header: LasHeader, crs: CRS | None) -> tuple[list[Vlr], list[Evlr], bool]:
+    """Records and extended records that a copy keeps, and whether none but WKT gives a CRS."""
+    dropped = {LASZIP_KEY, EXTRA_BYTES_KEY, *outvoted_records(header)}
+    own = header_crs(header)[0]
+    written = _delivered_crs(own, crs)
+    if written is not own:
+        dropped.add(WKT_KEY)
+
+    def is_kept(record: Vlr | Evlr) -> bool:
+        gone = record.key in dropped or record.key[0] == "copc"
+        return not gone and record_fault(header.path, record) is None
+
+    vlrs, evlrs = [*filter(is_kept, header.vlrs)], [*filter(is_kept, header.evlrs)]
+    known = WKT_KEY in {v.key for v in vlrs} | {e.key for e in evlrs}
+    if not known and written is not None:
+        vlrs.append(wkt_vlr(written))
+    keys = {v.key for v in vlrs}
+    return vlrs, evlrs, known or WKT_KEY in keys or not keys.intersection(GEO_KEYS)
+
+
+def _delivered_crs(own: CRS | None, survey: CRS | None) -> CRS | None:
+    """CRS of a delivered cloud, by that of its input and that of the survey."""
+    if survey is None:
+        return own
+    if own is None or own.is_geocentric:  # not understood, or wrong over coordinates in metres
+        return survey
+    heights = vertical(survey)
+    return own if heights is None or vertical(own) is not None else compound(own, heights)

@@ -6,7 +6,7 @@ warning says so.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -29,6 +29,7 @@ from spl_batch.formats.las.records import (
     record_layout,
     scan_angle_deg,
 )
+from spl_batch.formats.units import METRES, Units
 from spl_batch.lattice.tables import COLUMNS, EXCLUDED, SOURCE_COLUMNS, PointFlag, PointTable
 
 _BBOX_SLACK_M: Final = 1.0
@@ -47,7 +48,8 @@ class LasFacts:
     point_format: int
     scales: tuple[float, float, float]
     offsets: tuple[float, float, float]
-    #: The header's bounding box, finite and in order; zeros where there are no points.
+    #: The header's bounding box, finite and in order; zeros where there are no points. In the
+    #: unit of its CRS until :meth:`in_metres`.
     mins_m: tuple[float, float, float]
     maxs_m: tuple[float, float, float]
     crs: CRS | None  #: From the WKT record or from GeoTIFF keys.
@@ -58,6 +60,13 @@ class LasFacts:
     warnings: tuple[str, ...]  #: Oddities that do not stop the work; each is one sentence.
     #: Whether :mod:`spl_batch.formats.las.layers` knows how its points are compressed.
     layers_can_be_copied: bool
+
+    def in_metres(self, units: Units) -> "LasFacts":
+        """The same with the box in metres; scales and offsets stay in the file's units."""
+        if units.are_metres:
+            return self
+        low, high = units.metres(np.array([self.mins_m, self.maxs_m])).tolist()
+        return replace(self, mins_m=tuple(low), maxs_m=tuple(high))
 
     @property
     def area_m2(self) -> float:
@@ -138,6 +147,7 @@ def iter_points(
     stop: int | None = None,
     chunk: int = 1_000_000,
     watch: Callable[[NDArray[Any], RecordLayout], None] | None = None,
+    units: Units = METRES,
 ) -> Iterator[PointTable]:
     """Points of a file in its own order, as tables of bounded length.
 
@@ -153,6 +163,8 @@ def iter_points(
         Range of points, half-open; by default all.
     watch : callable, optional
         Is given the records of each table, and their layout, before it comes.
+    units : Units
+        Of the survey's CRS, which the file has or lacks.
 
     Yields
     ------
@@ -179,7 +191,7 @@ def iter_points(
             records = reader.read(first, min(first + chunk, end))
             if watch is not None:
                 watch(records, layout)
-            x, y, z = (_coordinate(records, header, axis, first) for axis in range(3))
+            x, y, z = (coordinate(records, header, axis, first, units) for axis in range(3))
             channel = _channel(records, header, layout, channel_dimension, first)
             places = {"x": x, "y": y, "z": z, "channel": channel}
             places["source"] = np.full(len(records), source, dtype=np.uint64)
@@ -242,7 +254,7 @@ def read_ends(path: Path, channel_dimension: str | None, count: int) -> Ends:
         pieces, layout, header = reader.read_ends(count), reader.layout, reader.header
     for first, some in pieces:
         for axis in range(3):
-            _coordinate(some, header, axis, first)
+            coordinate(some, header, axis, first)
     channel = np.concatenate(
         [_channel(some, header, layout, channel_dimension, first) for first, some in pieces]
     )
@@ -307,8 +319,8 @@ def _whole(scale: float, offset: float) -> tuple[int, int] | None:
     return whole_step, whole_base
 
 
-def _coordinate(
-    records: NDArray[Any], header: LasHeader, axis: int, first: int
+def coordinate(
+    records: NDArray[Any], header: LasHeader, axis: int, first: int, units: Units = METRES
 ) -> NDArray[np.int64]:
     """Coordinates of one axis on the lattice [quanta]: (n,) int64.
 
@@ -316,21 +328,22 @@ def _coordinate(
     checksum, or a box that the plan must not rely on.
     """
     raw = records["XYZ"[axis]]
-    scale, offset = header.scales[axis], header.offsets[axis]
-    whole = _whole(scale, offset)
+    scale, offset, unit_m = header.scales[axis], header.offsets[axis], units.xyz_m[axis]
+    whole = _whole(scale, offset) if unit_m == 1.0 else None
     quanta: NDArray[np.int64]
     if whole is not None:
         quanta = raw.astype(np.int64) * whole[0] + whole[1]
     else:
-        quanta = np.rint((raw * scale + offset) * QUANTA_PER_M).astype(np.int64)
-    low = (header.mins_m[axis] - _BBOX_SLACK_M) * QUANTA_PER_M
-    high = (header.maxs_m[axis] + _BBOX_SLACK_M) * QUANTA_PER_M
+        quanta = np.rint((raw * scale + offset) * unit_m * QUANTA_PER_M).astype(np.int64)
+    low = (header.mins_m[axis] * unit_m - _BBOX_SLACK_M) * QUANTA_PER_M
+    high = (header.maxs_m[axis] * unit_m + _BBOX_SLACK_M) * QUANTA_PER_M
     if len(quanta) and (quanta.min() < low or quanta.max() > high):
         where = int(np.argmax((quanta < low) | (quanta > high)))
         raise InputError(
             str(header.path),
-            f"point {first + where} has {'xyz'[axis]} {quanta[where] / QUANTA_PER_M}, outside the"
-            f" header's {header.mins_m[axis]} to {header.maxs_m[axis]}: the points are damaged,"
+            f"point {first + where} has {'xyz'[axis]} {quanta[where] / QUANTA_PER_M / unit_m},"
+            f" outside the header's {header.mins_m[axis]} to {header.maxs_m[axis]}: the points are"
+            " damaged,"
             " copy the file again; or the header is wrong, repair it (lasinfo -repair_bb)",
         )
     return quanta

@@ -31,8 +31,12 @@ ADDED: Final[Mapping[str, tuple[str, str]]] = {
     "noise_class": ("u1", "0 signal 1 backgr 2 afterp 255 -"),
     "noise_density": ("f4", "expected noise points per m3"),
     "p_value": ("f4", "P(this many neighbours | noise)"),
+    "HeightAboveGround": ("f4", "height above dtm.tif, its unit"),
 }
 """Extra bytes that this project adds: dtype and description."""
+
+HEIGHT: Final = "HeightAboveGround"
+"""Of these, what PDAL calls the height above the terrain, too."""
 
 FIRST_CLASS: Final = "input_classification"
 """Of these, what a copy keeps of an earlier output."""

@@ -21,9 +21,8 @@ from spl_batch.constants import (
     QUANTUM_M,
 )
 from spl_batch.errors import WorkflowError
-from spl_batch.formats.crs import GEO_KEYS, WKT_KEY, compound, vertical
 from spl_batch.formats.gps_clock import TimeStandard, time_standard, usable_times
-from spl_batch.formats.las.chunks import LASZIP_KEY, RecordReader
+from spl_batch.formats.las.chunks import RecordReader
 from spl_batch.formats.las.convert import conversion
 from spl_batch.formats.las.copc import write_copc
 from spl_batch.formats.las.frame import (
@@ -39,17 +38,16 @@ from spl_batch.formats.las.frame import (
 from spl_batch.formats.las.header import (
     ADJUSTED_BIT,
     WKT_BIT,
-    Evlr,
     LasHeader,
     Vlr,
     read_header,
 )
-from spl_batch.formats.las.known_records import header_crs, outvoted_records, record_fault
+from spl_batch.formats.las.known_records import kept_records
 from spl_batch.formats.las.layers import LayerCopy, can_be_copied
 from spl_batch.formats.las.records import (
     ADDED,
-    EXTRA_BYTES_KEY,
     FIRST_CLASS,
+    HEIGHT,
     SCAN_ANGLE_STEP_DEG,
     ExtraDimension,
     RecordLayout,
@@ -57,10 +55,14 @@ from spl_batch.formats.las.records import (
     given_classes,
     new_dimension,
 )
+from spl_batch.formats.units import Units
 from spl_batch.lattice.tables import PointFlag, PointTable
 
 Labels = Callable[[int, int], Mapping[str, NDArray[Any]]]
 """Labels of points ``[start, stop)``: classification, noise_class and diagnostics."""
+
+Kept = Callable[[NDArray[Any], Mapping[str, NDArray[Any]]], NDArray[np.bool_]]
+"""Which labelled records are written, by them and their labels: (n,) bool."""
 
 KEEP_CLASS: Final = 255
 """Label ``classification`` of a point that keeps the class of the input."""
@@ -103,10 +105,13 @@ class Decoded:
     extent: Extent
 
 
-def added_dimensions(layout: RecordLayout, *, diagnostics: bool) -> list[ExtraDimension]:
+def added_dimensions(
+    layout: RecordLayout, *, diagnostics: bool, heights: bool = False
+) -> list[ExtraDimension]:
     """Extra bytes that a copy of records gets: of an earlier output the first classes stay."""
     there = {d.descriptor for d in layout.extra}
-    found = (added(n) for n in ADDED if diagnostics or n not in _DIAGNOSTICS)
+    left_out = {*_DIAGNOSTICS * (not diagnostics), *(HEIGHT,) * (not heights)}
+    found = (added(n) for n in ADDED if n not in left_out)
     return [d for d in found if d.name != FIRST_CLASS or d.descriptor not in there]
 
 
@@ -118,12 +123,14 @@ def write_classified(
     diagnostics: bool,
     crs: CRS | None,
     flags: bool = False,
+    heights: bool = False,
     decoded: Decoded | None = None,
     classes: NDArray[np.int64] | None = None,
     shifted: Shifted | None = None,
     standard: TimeStandard = "none",
+    kept: Kept | None = None,
 ) -> int:
-    """Copy a file with new classes and the extra bytes of :data:`ADDED`.
+    """Copy a file with new classes and the extra bytes of :data:`ADDED`; points written [count].
 
     Every point comes once and in order, with all its dimensions, raw coordinates, scale and offset.
     Point formats 0-5 become 6-10. Records are kept, but for those that describe the old packing
@@ -146,6 +153,8 @@ def write_classified(
     flags : bool
         Whether labels have ``set_flags`` (uint8): classification flags that are set beside those
         of the input.
+    heights : bool
+        Whether labels have ``HeightAboveGround`` (float32).
     decoded : Decoded, optional
         Spares decoding a file of which :func:`~spl_batch.formats.las.layers.can_be_copied` holds:
         what is not changed is copied as it is compressed.
@@ -156,6 +165,8 @@ def write_classified(
         Shifts that are added to the heights, rounded to the file's scale.
     standard : str
         What the values of ``gps_time`` are, for the header.
+    kept : callable, optional
+        Which points are written; all by default.
 
     Raises
     ------
@@ -169,7 +180,7 @@ def write_classified(
     header = read_header(src)
     written = np.zeros((2, 256), np.int64) if classes is None else classes
     with RecordReader(header) as reader:
-        new = added_dimensions(reader.layout, diagnostics=diagnostics)
+        new = added_dimensions(reader.layout, diagnostics=diagnostics, heights=heights)
         names = [d.name for d in new]
         convert = conversion(reader.layout, new)
 
@@ -179,11 +190,15 @@ def write_classified(
                 given = reader.read(start, stop)
                 out = convert.records(given)
                 if shifted is not None:
-                    _shift(out, given, header, shifted)
+                    _shift(out, given, header, shifted, Units.of(crs).vertical_m)
                 before = given_classes(given, reader.layout)
                 values = labels(start, stop)
                 _label(out, convert.layout, before, values, names)
-                written[:] += _counts(out["classification"], values)
+                assessed = values["noise_class"] != NOISE_NOT_ASSESSED
+                if kept is not None:
+                    chosen = kept(out, values)
+                    out, assessed = out[chosen], assessed[chosen]
+                written[:] += _counts(out["classification"], assessed)
                 yield out
 
         def packed(known: Decoded, copy: LayerCopy) -> Iterator[tuple[int, bytes]]:
@@ -191,12 +206,13 @@ def write_classified(
                 own, first = copy.records(known.given(start, stop)), copy.first(chunk)
                 before, values = own["classification"].copy(), labels(start, stop)
                 _label(own, copy.own, before, values, names)
-                written[:] += _counts(own["classification"], values)
+                assessed = values["noise_class"] != NOISE_NOT_ASSESSED
+                written[:] += _counts(own["classification"], assessed)
                 of_first = {name: v[:1] for name, v in values.items()}
                 _label(first, convert.layout, before[:1], of_first, names)
                 yield stop - start, copy.chunk(chunk, first, own)
 
-        vlrs, evlrs, wkt = _records(header, crs)
+        vlrs, evlrs, wkt = kept_records(header, crs)
         if shifted is not None:
             vlrs.append(shifted.record)
         frame = Frame(
@@ -207,18 +223,21 @@ def write_classified(
             vlrs=vlrs,
             evlrs=[(e, src) for e in evlrs],
         )
-        if decoded is None or shifted is not None or not can_be_copied(reader):
+        changed = shifted is not None or kept is not None
+        if decoded is None or changed or not can_be_copied(reader):
             return write_laz(dst, frame, chunks())
         copy = LayerCopy(reader, convert, len(names), flags=flags)
         return write_packed(dst, frame, copy.laz, decoded.extent, packed(decoded, copy))
 
 
-def _shift(records: NDArray[Any], given: NDArray[Any], header: LasHeader, shifted: Shifted) -> None:
+def _shift(
+    records: NDArray[Any], given: NDArray[Any], header: LasHeader, shifted: Shifted, unit_m: float
+) -> None:
     """Add shifts to the heights of records; the flightlines are those of what was given."""
     timed = "gps_time" in (given.dtype.names or ())
     time = given["gps_time"] if timed else np.full(len(given), np.nan)
     up_q = shifted.up_q(given["point_source_id"], time)
-    z = records["Z"] + np.rint(up_q / (header.scales[2] * QUANTA_PER_M)).astype(np.int64)
+    z = records["Z"] + np.rint(up_q / (header.scales[2] * unit_m * QUANTA_PER_M)).astype(np.int64)
     if len(z) and not _INT32.min <= z.min() <= z.max() <= _INT32.max:
         raise WorkflowError(
             f"{header.path}: with its shift z of some points does not fit into the file's "
@@ -234,9 +253,8 @@ def kept_classes(label: NDArray[np.uint8], given: NDArray[np.uint8]) -> NDArray[
     return np.where(label >= KEEP_BUT_GROUND, kept, label)
 
 
-def _counts(classes: NDArray[np.uint8], values: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:
+def _counts(classes: NDArray[np.uint8], assessed: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Points of each class that nothing assessed, and the others: (2, 256) [count]."""
-    assessed = values["noise_class"] != NOISE_NOT_ASSESSED
     return np.bincount(assessed * 256 + classes.astype(np.int64), minlength=512).reshape(2, 256)
 
 
@@ -256,36 +274,6 @@ def _label(
         out[field[name]] = classes if name == FIRST_CLASS else values[name]
 
 
-def _records(header: LasHeader, crs: CRS | None) -> tuple[list[Vlr], list[Evlr], bool]:
-    """Records and extended records that are kept, and whether none but WKT gives a CRS."""
-    dropped = {LASZIP_KEY, EXTRA_BYTES_KEY, *outvoted_records(header)}
-    own = header_crs(header)[0]
-    written = _delivered_crs(own, crs)
-    if written is not own:
-        dropped.add(WKT_KEY)
-
-    def is_kept(record: Vlr | Evlr) -> bool:
-        gone = record.key in dropped or record.key[0] == "copc"
-        return not gone and record_fault(header.path, record) is None
-
-    vlrs, evlrs = [*filter(is_kept, header.vlrs)], [*filter(is_kept, header.evlrs)]
-    known = WKT_KEY in {v.key for v in vlrs} | {e.key for e in evlrs}
-    if not known and written is not None:
-        vlrs.append(wkt_vlr(written))
-    keys = {v.key for v in vlrs}
-    return vlrs, evlrs, known or WKT_KEY in keys or not keys.intersection(GEO_KEYS)
-
-
-def _delivered_crs(own: CRS | None, survey: CRS | None) -> CRS | None:
-    """CRS of a delivered cloud, by that of its input and that of the survey."""
-    if survey is None:
-        return own
-    if own is None or own.is_geocentric:  # not understood, or wrong over coordinates in metres
-        return survey
-    heights = vertical(survey)
-    return own if heights is None or vertical(own) is not None else compound(own, heights)
-
-
 def write_points(
     path: Path,
     table: PointTable,
@@ -297,9 +285,9 @@ def write_points(
     aggregate_bit: bool = False,
     records_of_file: Sequence[Vlr] = (),
 ) -> int:
-    """Write a table as LAZ or COPC, point format 6, on the survey's lattice.
+    """Write a table as LAZ or COPC, point format 6, to a thousandth of the CRS's unit.
 
-    The beamlet number goes to ``user_data``.
+    In metres that is the survey's lattice. The beamlet number goes to ``user_data``.
 
     Parameters
     ----------
@@ -334,7 +322,7 @@ def write_points(
     ]
     layout = conversion(RecordLayout(_POINT_FORMAT, ()), described).layout
     records = np.zeros(len(table), dtype=layout.dtype)
-    offsets = [_place(records, table, axis, path) for axis in range(3)]
+    offsets = [_place(records, table, k, u, path) for k, u in enumerate(Units.of(crs).xyz_m)]
     _fill(records, table)
     if aggregate:
         records["bit_fields"] = _ONLY_RETURN
@@ -359,16 +347,17 @@ def write_points(
     return write_copc(path, frame, records) if copc else write_laz(path, frame, [records])
 
 
-def _place(records: NDArray[Any], table: PointTable, axis: int, path: Path) -> float:
-    """Put one axis into the records; gives its offset [m], a whole number of kilometres."""
-    values = table["xyz"[axis]].astype(np.int64)
+def _place(records: NDArray[Any], table: PointTable, axis: int, unit_m: float, path: Path) -> float:
+    """Put one axis into the records; gives its offset, a whole number of thousand units."""
+    values = np.rint(table["xyz"[axis]] / unit_m).astype(np.int64)
     if not len(values):
         return 0.0
     low, high = int(values.min()), int(values.max())
     fits = _INT32.min <= low and high <= _INT32.max
     origin = 0 if fits else low // _ORIGIN_STEP * _ORIGIN_STEP
     if high - origin > _INT32.max:
-        raise WorkflowError(f"{path}: {'xyz'[axis]} spans more than 2000 km; write it in parts")
+        span = f"{2000 * unit_m:.0f} km"
+        raise WorkflowError(f"{path}: {'xyz'[axis]} spans more than {span}; write it in parts")
     records["XYZ"[axis]] = values - origin
     return float(origin // QUANTA_PER_M)
 

@@ -10,6 +10,7 @@ import numpy as np
 import rasterio
 import rasterio.shutil
 from numpy.typing import NDArray
+from pyproj import CRS
 from rasterio._err import CPLE_BaseError
 from rasterio.enums import Resampling
 from rasterio.errors import CRSError, RasterioError
@@ -19,6 +20,7 @@ from rasterio.windows import Window
 from spl_batch.constants import NODATA
 from spl_batch.errors import InputError, StoppedError
 from spl_batch.formats.files.atomic import replacing, scratch_folder
+from spl_batch.formats.units import Units
 
 Blocks = Iterable[tuple[int, int, NDArray[np.float32]]]
 """First row, first column and values of pieces of a raster, row 0 northernmost."""
@@ -35,8 +37,9 @@ def write_cog(
     blocks: NDArray[np.float32] | Blocks,
     *,
     shape: tuple[int, int],
-    origin_xy_m: tuple[float, float],
-    cell_m: float,
+    origin_xy_m: tuple[float, float] = (0.0, 0.0),
+    cell_m: float = 1.0,
+    place: Affine | None = None,
     crs: str | None,
     description: str,
     unit: str = "",
@@ -53,9 +56,12 @@ def write_cog(
     shape : (int, int)
         Rows and columns, both > 0.
     origin_xy_m : (float, float)
-        Easting and northing of the upper left corner [m].
+        Easting and northing of the upper left corner, in metres on the axes of the CRS [m].
+    place : Affine, optional
+        Corner and cells in the units of the CRS, in place of these.
     crs : str, optional
-        Anything that GDAL understands as a CRS: EPSG code, WKT.
+        Anything that GDAL understands as a CRS: EPSG code, WKT. The file is in its units: corner,
+        cells and values in ``m`` are converted.
     unit : str
         Unit of its values, as GDAL's unit type; empty where they have none.
 
@@ -69,6 +75,11 @@ def write_cog(
         known_crs = None if crs is None else rasterio.crs.CRS.from_user_input(crs)
     except CRSError as error:
         raise InputError(str(path), f"CRS {crs!r} is not understood: {error}") from None
+    units = Units.of(None if known_crs is None else CRS.from_wkt(known_crs.to_wkt()))
+    unit, unit_m = units.of_values(unit)
+    if unit_m != 1.0:
+        pieces = ((row, col, _divided(block, unit_m, nodata)) for row, col, block in pieces)
+    left, top, cell = (v / units.horizontal_m for v in (*origin_xy_m, cell_m))
     profile = {
         "driver": "GTiff",
         "height": shape[0],
@@ -77,7 +88,7 @@ def write_cog(
         "dtype": "float32",
         "nodata": nodata,
         "crs": known_crs,
-        "transform": Affine(cell_m, 0.0, origin_xy_m[0], 0.0, -cell_m, origin_xy_m[1]),
+        "transform": place or Affine(cell, 0.0, left, 0.0, -cell, top),
     }
     try:
         with (
@@ -94,6 +105,12 @@ def write_cog(
             finished.replace(cog)
     except (RasterioError, CPLE_BaseError) as error:
         raise _stopped(path, shape, error) from error
+
+
+def _divided(block: NDArray[np.float32], unit_m: float, nodata: float) -> NDArray[np.float32]:
+    """Lengths in another unit; nodata stays."""
+    values = np.where(block == np.float32(nodata), nodata, block.astype(np.float64) / unit_m)
+    return values.astype(np.float32)
 
 
 def _write_plain(

@@ -1,4 +1,7 @@
-"""Parts and overviews of delivered rasters, for statistics and pictures."""
+"""Parts and overviews of delivered rasters in metres, for statistics and pictures.
+
+A file says itself what its units are: by its CRS those of its cells, by its band those of values.
+"""
 
 import math
 from collections.abc import Iterator
@@ -10,11 +13,13 @@ from typing import Any, Final
 import numpy as np
 import rasterio
 from numpy.typing import NDArray
+from pyproj import CRS
 from rasterio.enums import Resampling
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
 from spl_batch.errors import DamagedError
+from spl_batch.formats.units import Units, metres_in
 
 LARGEST: Final = 1200
 """Cells that a side of an overview may have [count]."""
@@ -70,7 +75,8 @@ def overview_frame(path: Path) -> tuple[int, int, float, float, float]:
     """
     with opened(path) as source:
         step, shape = _reduced(source.shape, LARGEST)
-        return (*shape, source.transform.c, source.transform.f, source.transform.a * step)
+        left_m, top_m, cell_m = place_m(source)
+        return (*shape, left_m, top_m, cell_m * step)
 
 
 def read_part(path: Path, bounds_m: tuple[float, float, float, float]) -> RasterPart | None:
@@ -84,7 +90,7 @@ def read_part(path: Path, bounds_m: tuple[float, float, float, float]) -> Raster
         If the raster cannot be read: it can be made again.
     """
     with opened(path) as source:
-        left, top, cell = source.transform.c, source.transform.f, source.transform.a
+        left, top, cell = place_m(source)
         west, south, east, north = bounds_m
         row, col = (max(math.floor(side / cell) - 1, 0) for side in (top - north, west - left))
         rows = min(math.ceil((top - south) / cell) + 1, source.height) - row
@@ -120,6 +126,19 @@ def _reduced(size: tuple[int, int], largest: int) -> tuple[int, tuple[int, int]]
 
 def _part(source: Any, values: NDArray[Any], first: tuple[int, int], step: int) -> RasterPart:
     """Values from a row and a column on, each of ``step`` cells of the raster."""
-    left, top, cell = source.transform.c, source.transform.f, source.transform.a
+    left, top, cell = place_m(source)
     left_m, top_m = left + first[1] * cell, top - first[0] * cell
+    unit_m = metres_in(source.units[0] or "") or 1.0
+    if unit_m != 1.0:
+        values = np.where(values == source.nodata, source.nodata, values * np.float64(unit_m))
     return RasterPart(values.astype(np.float32), left_m, top_m, cell * step)
+
+
+def place_m(source: Any) -> tuple[float, float, float]:
+    """Left and upper edge of a raster and edge of its cells, in metres on its axes [m]."""
+    placed = source.transform.c, source.transform.f, source.transform.a
+    crs = CRS.from_wkt(source.crs.to_wkt()) if source.crs else None
+    unit_m = Units.of(crs).horizontal_m
+    # Edges are whole millimetres; what a factor and its inverse leave of one is not.
+    left, top, cell = placed if unit_m == 1.0 else (round(v * unit_m, 6) for v in placed)
+    return left, top, cell

@@ -23,6 +23,7 @@ from spl_batch.formats.crs import crs_name, crs_problems, horizontal, parse_crs
 from spl_batch.formats.files.atomic import stop_if_full
 from spl_batch.formats.gps_clock import TimeStandard, clock, time_standard
 from spl_batch.formats.trajectory.records import COLUMNS, SBET_SUFFIXES, Records, read_records
+from spl_batch.formats.units import Units
 from spl_batch.formats.verified.parquet_npz import ranges_of, read_groups, reading, writing
 from spl_batch.lattice.tables import Trajectory
 
@@ -228,7 +229,7 @@ def gathering(
     paths : sequence of Path
         The files; see :func:`~spl_batch.formats.trajectory.records.read_records`.
     survey_crs : CRS or None
-        CRS that positions are wanted in; none leaves them as they are.
+        CRS on whose axes positions are wanted [m]; none leaves them as they are.
     trajectory_crs : str or None
         CRS of the files; by default EPSG:4979 for SBET and the survey's for others.
     points : PointExtent, optional
@@ -252,10 +253,13 @@ def gathering(
 def _conversion(
     path: Path, survey: CRS | None, trajectory_crs: str | None, warnings: list[str]
 ) -> Callable[[Positions], Positions]:
-    """Brings a file's positions, (n, 3), into the survey's CRS, heights as well where PROJ can."""
-    crs = _crs_of(path, trajectory_crs)
+    """Brings a file's positions, (n, 3), onto the axes of the survey's CRS in metres.
+
+    Heights as well, where PROJ can.
+    """
+    crs, units = _crs_of(path, trajectory_crs), Units.of(survey)
     if crs is None:
-        return lambda position: position
+        return units.metres
     if survey is None:
         raise InputError(
             str(path), f"is in {crs_name(crs)}, the survey has no CRS: name it in survey.crs"
@@ -269,11 +273,13 @@ def _conversion(
     unit_m = crs.axis_info[-1].unit_conversion_factor if with_unit else 1.0
 
     def keep_heights(position: Positions) -> Positions:
-        return np.column_stack([flat(position)[:, :2], position[:, 2] * unit_m])
+        east_north = units.metres(flat(position)[:, :2])
+        return np.column_stack([east_north, position[:, 2] * unit_m])
 
     ways: list[Callable[[Positions], Positions]] = [keep_heights]
     if len(crs.axis_info) == 3 and len(survey.axis_info) == 3:
-        ways.append(_projection(crs, survey, best=True))
+        whole = _projection(crs, survey, best=True)
+        ways.append(lambda position: units.metres(whole(position)))
 
     def convert(position: Positions) -> Positions:
         """Whether heights can be converted shows the first batch; then there is one way."""

@@ -153,8 +153,8 @@ def test_water_that_nobody_flew_stays_void() -> None:
         ({"b": [COURSE]}, UTM, "lines alone"),
         ({"a": [shapely.Point(1, 2, 3)]}, UTM, "holds no polygons"),
         ({"a": [LAKE]}, "EPSG:32615+5773", "its heights are 'EGM96 height'"),
-        ({"a": [LAKE]}, "EPSG:32615+6360", "is in US survey foot, not in metres"),
-        ({"a": [LAKE]}, "EPSG:2277", "is in US survey foot, not in metres"),
+        ({"a": [LAKE]}, "EPSG:32615+6360", "is in US survey foot, the survey's"),
+        ({"a": [LAKE]}, "EPSG:2277", "is in US survey foot, the survey's"),
     ],
 )
 def test_faults_are_told_in_one_line(tmp_path: Path, layers, crs, said: str) -> None:
@@ -162,6 +162,14 @@ def test_faults_are_told_in_one_line(tmp_path: Path, layers, crs, said: str) -> 
     with pytest.raises(InputError, match=said) as told:
         read_breaklines(write(tmp_path / "b.gpkg", layers, crs), ours)
     assert "\n" not in str(told.value)
+
+
+def test_breaklines_of_a_survey_in_feet_are_read_in_metres(tmp_path: Path) -> None:
+    foot_m, crs = np.array([1200 / 3937] * 3), CRS.from_user_input("EPSG:2278+6360")
+    in_feet = shapely.transform(LAKE, lambda xyz: xyz / foot_m, include_z=True)
+    (lake,) = read_breaklines(write(tmp_path / "b.gpkg", {"a": [in_feet]}, "EPSG:2278"), crs)
+    assert lake.level_m == pytest.approx(12.0)
+    assert lake.area.equals_exact(shapely.force_2d(LAKE), 1e-6)
 
 
 def test_a_field_gives_the_height_and_another_crs_is_transformed(tmp_path: Path) -> None:

@@ -22,9 +22,17 @@ from spl_batch.errors import (
     told_together,
 )
 from spl_batch.formats.checkpoints import Checkpoint
-from spl_batch.formats.crs import like_degrees, look_like_degrees, other_crs, parse_crs, same_crs
+from spl_batch.formats.crs import (
+    like_degrees,
+    look_like_degrees,
+    other_crs,
+    parse_crs,
+    same_crs,
+    vertical,
+)
 from spl_batch.formats.files.atomic import real_path
 from spl_batch.formats.las.reader import LasFacts
+from spl_batch.formats.units import Units
 
 
 class ReferenceFiles(NamedTuple):
@@ -40,7 +48,7 @@ def checked_reference(
     crs: CRS | None,
     others: Sequence[InputError],
 ) -> ReferenceFiles:
-    """Facts of reference files in the survey's CRS, and what is wrong with the rest.
+    """Facts of reference files in the survey's CRS, in metres, and what is wrong with the rest.
 
     Raises WorkflowError if every file that can be read is in another CRS: then the request is
     wrong, not the files. ``others``: files of the survey that are in another CRS themselves: any of
@@ -53,7 +61,8 @@ def checked_reference(
     if elsewhere and not good:
         told = (f"reference.points: {text}" for text in told_together([*damaged, *elsewhere]))
         raise WorkflowError("; ".join(told))
-    return ReferenceFiles(tuple(good), (*damaged, *elsewhere))
+    in_metres = (facts.in_metres(Units.of(crs)) for facts in good)
+    return ReferenceFiles(tuple(in_metres), (*damaged, *elsewhere))
 
 
 def _crs_fault(
@@ -62,8 +71,12 @@ def _crs_fault(
     """Why a file cannot be compared with a survey of this CRS; empty if it can."""
     if found is None and facts.n_points and look_like_degrees(facts.mins_m, facts.maxs_m):
         return like_degrees([facts.mins_m, facts.maxs_m], "reference.crs")
-    if crs is None or found is None or same_crs(found, crs):
+    if crs is None or found is None:
         return ""
+    if same_crs(found, crs):
+        mine, ours = Units.of(found).vertical, Units.of(crs).vertical
+        stated = vertical(found) is not None and mine != ours
+        return f"its heights are in {mine}, the survey's in {ours}; reproject it" * stated
     remedy = "reproject it"
     if others:
         remedy = (

@@ -6,12 +6,13 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 from pyproj import CRS
 
 from spl_batch.airborne.plan.inputs.file_positions import usable, without_degrees
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.findings import Finding
-from spl_batch.errors import InputError
+from spl_batch.errors import InputError, WorkflowError
 from spl_batch.formats.crs import (
     compound,
     crs_name,
@@ -25,7 +26,10 @@ from spl_batch.formats.crs import (
     stretch_problem,
     vertical,
 )
+from spl_batch.formats.las.header import WAVEFORM_FORMATS
 from spl_batch.formats.las.reader import LasFacts
+from spl_batch.formats.reprojection import Reprojection
+from spl_batch.formats.units import Units
 
 AREAS_APART: Final = 0.01
 """Areas and densities that are off by a larger part are worth a word."""
@@ -59,16 +63,28 @@ def survey_crs(
         return f"{other_crs(facts.crs, given)}{remedy}"
 
     good, elsewhere = usable(good, disagrees)
-    problems = stretch_problem(given, _corners(good))
+    problems = stretch_problem(given, Units.of(given).metres(_corners(good)))
     good, stretched = usable(good, lambda _: problems)
     return horizontal(given), good, bad + elsewhere + stretched
 
 
-def _corners(files: Iterable[LasFacts]) -> list[list[float]]:
-    """Two corners of the box around the points of a survey [m]; none without points."""
+def check_reprojection(named: str, crs: CRS | None, files: Sequence[LasFacts]) -> None:
+    """Refuse a CRS for outputs that the survey's corners, or waveforms, cannot be brought to."""
+    ends = [end for facts in files if facts.n_points for end in (facts.mins_m, facts.maxs_m)]
+    Reprojection(crs, named).check(np.array(ends) / Units.of(crs).xyz_m)
+    if waves := [facts for facts in files if facts.point_format in WAVEFORM_FORMATS]:
+        raise WorkflowError(
+            f"outputs.crs: {waves[0].path}: directions of waveforms are not converted; leave it out"
+        )
+
+
+def _corners(files: Iterable[LasFacts]) -> NDArray[np.float64]:
+    """Two corners of the box around the points of a survey, (2, 2); none without points."""
     some = [facts for facts in files if facts.n_points]
+    if not some:
+        return np.empty((0, 2))
     low, high = (np.array([getattr(f, end)[:2] for f in some]) for end in ("mins_m", "maxs_m"))
-    return [low.min(axis=0).tolist(), high.max(axis=0).tolist()] if some else []
+    return np.array([low.min(axis=0), high.max(axis=0)])
 
 
 def _of_most(found: Iterable[tuple[LasFacts, CRS | None]]) -> CRS | None:
@@ -110,12 +126,18 @@ def _heights(facts: LasFacts) -> CRS | None:
 
 
 def crs_findings(crs: CRS | None, files: Sequence[tuple[str, LasFacts]]) -> list[Finding]:
-    """A survey without a CRS or with a local one, and files whose heights have none."""
+    """A survey without a CRS or with a local one, and files whose heights have none.
+
+    ``files``: with boxes in metres.
+    """
     if crs is None:
         return [Finding("I08", {"kind": "none"})] if files else []
+    units, unstated = Units.of(crs), vertical(crs) is None and len(crs.axis_info) < 3
+    of_heights = [Finding("I08", {"kind": "unit", "unit": units.vertical})]
+    found = of_heights if unstated and not units.are_metres else []
     if horizontal(crs).is_engineering:
-        return [Finding("I08", {"kind": "local", "crs": crs_name(crs)})]
-    return [*_areas_off(crs, files), *_without_heights(crs, files)]
+        return [*found, Finding("I08", {"kind": "local", "crs": crs_name(crs)})]
+    return [*found, *_areas_off(crs, files), *_without_heights(crs, files)]
 
 
 def _areas_off(crs: CRS, files: Iterable[tuple[str, LasFacts]]) -> Iterator[Finding]:
@@ -141,20 +163,27 @@ def _without_wrong_crs(facts: LasFacts, given: CRS | None) -> LasFacts:
     """Header with the user's CRS, if there is one, for a local or a geocentric one.
 
     A geocentric record over projected coordinates is a mistake of the writer's, and a local one
-    names no place; one in feet still says so.
+    names no place; one in another unit still says so.
     """
     if given is None or facts.crs is None:
         return facts
     local = horizontal(facts.crs).is_engineering
     if not local and not facts.crs.is_geocentric:
         return facts
-    if local and _crs_problems(facts, facts.crs):
+    if local and (_other_unit(facts.crs, given) or _crs_problems(facts, facts.crs)):
         return facts
     kind = "local" if local else "geocentric"
     text = f"its CRS record is {kind}; survey.crs {given.name!r} is taken instead"
     heights = vertical(facts.crs)
     crs = None if heights is None else compound(given, heights)
     return replace(facts, crs=crs, warnings=(*facts.warnings, text))
+
+
+def _other_unit(found: CRS, given: CRS) -> bool:
+    """Whether a CRS states another unit than one, of places or of heights."""
+    mine, ours = Units.of(found), Units.of(given)
+    heights = vertical(found) is not None and mine.vertical_m != ours.vertical_m
+    return heights or mine.horizontal_m != ours.horizontal_m
 
 
 def _crs_problems(facts: LasFacts, crs: CRS | None) -> list[str]:

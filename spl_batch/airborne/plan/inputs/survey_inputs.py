@@ -11,6 +11,7 @@ import numpy as np
 import shapely
 from pyproj import CRS
 
+from spl_batch.airborne.plan.inputs.client_areas import TILES_KEY, client_tiles, tiles_file
 from spl_batch.airborne.plan.inputs.file_positions import (
     degrees_as_metres,
     extent,
@@ -26,7 +27,12 @@ from spl_batch.airborne.plan.inputs.reference_files import (
     looked_into,
     named_file,
 )
-from spl_batch.airborne.plan.inputs.survey_crs import crs_findings, survey_crs, with_heights
+from spl_batch.airborne.plan.inputs.survey_crs import (
+    check_reprojection,
+    crs_findings,
+    survey_crs,
+    with_heights,
+)
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.input_files import (
@@ -53,7 +59,9 @@ from spl_batch.formats.geoid import Geoid, grid_file
 from spl_batch.formats.las.convert import copied_format
 from spl_batch.formats.las.copc import copc_fault
 from spl_batch.formats.las.reader import LasFacts
+from spl_batch.formats.named_areas import NamedArea
 from spl_batch.formats.trajectory.records import has_records
+from spl_batch.formats.units import Units
 from spl_batch.formats.vector_files import check_polygons
 
 NO_POINTS = "the file holds no points; name files that hold some, or copy it again"
@@ -90,6 +98,7 @@ class Inputs:
     beside: tuple[tuple[str, str], ...] = ()
     checkpoints: CheckpointFile | None = None  #: Checkpoints of a field survey.
     no_trajectory: tuple[InputError, ...] = ()  #: Files of ``trajectory`` that cannot be read.
+    areas: tuple[NamedArea, ...] = ()  #: Tiles that a client names.
 
     def checksums(self, *keys: str) -> list[tuple[str, str]]:
         """Key and checksum of the files that some keys name, where they do."""
@@ -110,7 +119,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     reference_names = workflow.reference.points if workflow.reference else None
     reference = expand(reference_names, base, "reference.points", faults)
     checkpoints = named_file(workflow.reference, base)
-    beside = _shapes(workflow)
+    beside = _shapes(workflow) | _tiles(workflow)
     if workflow.reference and workflow.reference.checkpoints is not None:
         beside["reference.checkpoints"] = workflow.reference.checkpoints
     for key, name in beside.items():
@@ -131,12 +140,16 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         good = []
     if workflow.survey.vertical_crs is not None and good:
         crs = with_vertical(crs, workflow.survey.vertical_crs, "survey.vertical_crs")
+    good = [facts.in_metres(Units.of(crs)) for facts in good]
     apart: list[Finding] = []
     if good:
         apart = _check_shapes(workflow, base, crs, good)
+    areas = client_tiles(workflow, base, crs, good) if good else ()
     if workflow.outputs.geoid is not None and good:
         geoid = workflow.outputs.geoid
         Geoid(geoid.grid, base / geoid.grid, crs).crs_above(geoid.crs)
+    if workflow.outputs.crs is not None and good:
+        check_reprojection(workflow.outputs.crs, crs, good)
     _refuse_no_copc(workflow, good, base)
     untimed = _without_time(workflow, good, base)
     warnings = [*(Finding("I06", {"what": text}) for text in workflow.remarks()), *apart, *untimed]
@@ -165,7 +178,14 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         tuple(_checksums(workflow, base)),
         checkpoints,
         _unreadable(trajectory),
+        areas,
     )
+
+
+def _tiles(workflow: Workflow) -> dict[str, str]:
+    """File of a client's tiles, by its key, where one is named."""
+    name = tiles_file(workflow)
+    return {} if name is None else {TILES_KEY: name}
 
 
 def _shapes(workflow: Workflow) -> dict[str, str]:
@@ -262,7 +282,8 @@ def _without_time(workflow: Workflow, files: Sequence[LasFacts], base: Path) -> 
 
 
 def _checksums(workflow: Workflow, base: Path) -> Iterable[tuple[str, str]]:
-    files = {key: base / name for key, name in _shapes(workflow).items()}
+    named = _shapes(workflow) | _tiles(workflow)
+    files = {key: base / name for key, name in named.items()}
     geoid = workflow.outputs.geoid
     if geoid is not None and (grid := grid_file(geoid.grid, base / geoid.grid)) is not None:
         files["outputs.geoid.grid"] = grid

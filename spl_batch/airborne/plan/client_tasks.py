@@ -1,0 +1,52 @@
+"""Tasks of what a client asks for beside a survey's own files: tiles by polygons, contours."""
+
+import math
+from collections.abc import Iterator
+
+import shapely
+
+from spl_batch.airborne.plan.space_tasks import aligned
+from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_bounds
+from spl_batch.airborne.plan.task_memory import refusal
+from spl_batch.constants import QUANTA_PER_M
+from spl_batch.engine.tasks.task import Task
+from spl_batch.lattice.tiles import Bounds, BoxIndex, cells_touching, shared
+
+
+def client_tiles(survey: Survey) -> Iterator[Task]:
+    """Named areas, each with the delivered clouds and rasters that it is cut out of."""
+    settings = survey.workflow.outputs.client_tiles
+    if settings is None:
+        return
+    delivered, indexed = survey.of("deliver_file"), survey.of("index_file")
+    boxes = {key: indexed[key].facts["bounds"] for key in delivered}
+    index = BoxIndex({key: Bounds(b[0], b[1], b[3] + 1, b[4] + 1) for key, b in boxes.items() if b})
+    made = [(kind, name, r) for kind in ("mosaic", "deliver_geoid")
+            for name, r in sorted(survey.of(kind).items())]  # fmt: skip
+    rasters = [n for *_, r in made for n in r.outputs if "store/" not in n]
+    of_rasters = [(kind, name) for kind, name, _ in made]
+    for one in survey.inputs.areas:
+        low_x, low_y, high_x, high_y = (QUANTA_PER_M * end for end in shapely.bounds(one.shape))
+        bounds = Bounds(math.floor(low_x), math.floor(low_y), math.ceil(high_x), math.ceil(high_y))
+        keys = sorted(index.overlapping(bounds), key=lambda key: str(delivered[key].facts["name"]))
+        args = {
+            "name": one.name,
+            "area": shapely.to_wkb(one.shape, hex=True),
+            "sources": [[key, delivered[key].facts["name"]] for key in keys],
+            "rasters": rasters,
+            "aligned": bool(aligned(survey)),
+        }
+        needs = (*(("deliver_file", key) for key in keys), *of_rasters, *aligned(survey))
+        flown = cells_touching(shared(bounds, mosaic_bounds(survey)), survey.tile_q)
+        points = sum(survey.counts.get(tile, 0) for tile in flown)
+        refused = ""
+        if settings.format == "copc":
+            refused = refusal("deliver_client_tile", points, survey.memory_bytes)
+        yield Task("deliver_client_tile", one.name, args, needs, points, refused)
+
+
+def contours(survey: Survey) -> Iterator[Task]:
+    """Contours of the terrain, where they are asked for."""
+    interval = survey.workflow.outputs.contour_interval
+    if interval is not None and "dtm" in survey.of("mosaic"):
+        yield Task("deliver_contours", "all", {"interval": interval}, (("mosaic", "dtm"),))

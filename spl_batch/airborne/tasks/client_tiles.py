@@ -1,0 +1,174 @@
+"""What a client's polygons cut out of clouds and rasters, and contours of the terrain."""
+
+import math
+from collections.abc import Iterator, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from rasterio.windows import Window
+
+from spl_batch.airborne.catalogue.catalogues import Layer, write_layers
+from spl_batch.airborne.catalogue.delivered_files import CLIENT_TILES, CONTOURS
+from spl_batch.airborne.context import Context
+from spl_batch.airborne.store.flown_lines import read_shifts
+from spl_batch.airborne.tasks.index import BOXES, CHUNK_POINTS
+from spl_batch.constants import NODATA, QUANTA_PER_M
+from spl_batch.engine.store.working_store import read_receipt
+from spl_batch.engine.tasks.context import Produced
+from spl_batch.formats.files.atomic import replacing, scratch_folder
+from spl_batch.formats.las.copc import copy_as_copc
+from spl_batch.formats.las.cut import Piece, write_cut
+from spl_batch.formats.named_areas import lies_in
+from spl_batch.formats.rasters.geotiff import write_cog
+from spl_batch.formats.rasters.parts import opened, place_m
+from spl_batch.formats.units import metres_in
+from spl_batch.formats.verified.parquet_npz import read_arrays
+
+BLOCK: Final = 1024
+"""Rows and columns of a raster that are read at once [cells]."""
+
+EVEN: Final = 1e-6
+"""An edge of an area this near to one of a cell lies on it [cells]."""
+
+
+def deliver_client_tile(args: Mapping[str, Any], context: Context) -> Produced:
+    """Cut a tile out of delivered clouds and rasters; what has nothing there is left out."""
+    name, area = args["name"], shapely.from_wkb(args["area"])
+    shapely.prepare(area)
+    folder, outputs = context.output / CLIENT_TILES, []
+    settings = context.workflow.outputs.client_tiles
+    copc = settings is not None and settings.format == "copc"
+    target = folder / f"{name}{'.copc' if copc else ''}.laz"
+    points = _cut_cloud(args, area, target, context, copc=copc)
+    if points:
+        outputs.append(target)
+    for href in args["rasters"]:
+        source = context.output / href
+        cut = folder / f"{name}_{source.name}"
+        if _cut_raster(source, cut, area):
+            outputs.append(cut)
+    return Produced(outputs, {"name": name, "points": points}, points)
+
+
+def _cut_cloud(
+    args: Mapping[str, Any], area: shapely.Geometry, target: Path, context: Context, *, copc: bool
+) -> int:
+    """Points of a tile, written where there are any [count]."""
+    pieces = [
+        Piece(context.output / "laz" / name, ranges)
+        for source, name in args["sources"]
+        if (ranges := _ranges(source, area, context))
+    ]
+    if not pieces:
+        return 0
+    shifts = read_shifts(args, context.store)
+    record = None if shifts is None else shifts.record()
+    with scratch_folder(target) as folder:
+        whole = folder / "whole.laz"
+        points = write_cut(
+            whole,
+            pieces,
+            partial(lies_in, area),
+            units=context.units,
+            records_of_file=[] if record is None else [record],
+        )
+        if points and copc:
+            copy_as_copc(whole, target)
+        elif points:
+            with replacing(target) as temporary:
+                whole.replace(temporary)
+    return points
+
+
+def _ranges(source: str, area: shapely.Geometry, context: Context) -> list[tuple[int, int]]:
+    """Records of a delivered file that may lie in an area, by the boxes of its chunks."""
+    boxes = read_arrays(context.store.path("index", f"{source}.npz"))[BOXES]
+    receipt = read_receipt(context.store, "deliver_file", source)
+    facts = {} if receipt is None else receipt.facts
+    points = 0 if receipt is None else receipt.points
+    starts = np.minimum(np.arange(len(boxes) + 1) * CHUNK_POINTS, points)
+    if "kept" in facts:
+        starts = np.concatenate([[0], np.cumsum(facts["kept"])])
+    west, south, east, north = np.array(shapely.bounds(area)) * QUANTA_PER_M
+    near = (boxes[:, 0] <= east) & (boxes[:, 2] >= west - 1)
+    near &= (boxes[:, 1] <= north) & (boxes[:, 3] >= south - 1) & (np.diff(starts) > 0)
+    return [(int(starts[k]), int(starts[k + 1])) for k in np.flatnonzero(near).tolist()]
+
+
+def _cut_raster(source: Path, target: Path, area: shapely.Geometry) -> bool:
+    """Cells of a raster whose centres lie in an area; whether there are any."""
+    with opened(source) as model:
+        (left_m, top_m, cell_m), (rows, columns) = place_m(model), model.shape
+        unit_m = metres_in(model.units[0] or "")
+        west, south, east, north = shapely.bounds(area).tolist()
+        first_col = max(math.floor((west - left_m) / cell_m + EVEN), 0)
+        last_col = min(math.ceil((east - left_m) / cell_m - EVEN), columns)
+        first_row = max(math.floor((top_m - north) / cell_m + EVEN), 0)
+        last_row = min(math.ceil((top_m - south) / cell_m - EVEN), rows)
+
+        def blocks() -> Iterator[tuple[int, int, NDArray[Any]]]:
+            for row in range(first_row, last_row, BLOCK):
+                for col in range(first_col, last_col, BLOCK):
+                    size = min(BLOCK, last_col - col), min(BLOCK, last_row - row)
+                    values = model.read(1, window=Window(col, row, *size))
+                    x = left_m + (col + np.arange(size[0]) + 0.5) * cell_m
+                    y = top_m - (row + np.arange(size[1]) + 0.5) * cell_m
+                    x, y = np.meshgrid(x * QUANTA_PER_M, y * QUANTA_PER_M)
+                    inside = lies_in(area, x.ravel(), y.ravel()).reshape(values.shape)
+                    inside &= values != np.float32(NODATA)
+                    # 64 bits until they are in the file's unit again: no value changes.
+                    kept = np.where(inside, values * np.float64(unit_m or 1.0), NODATA)
+                    yield row - first_row, col - first_col, kept
+
+        if not any((values != NODATA).any() for *_, values in blocks()):
+            return False
+        write_cog(
+            target,
+            blocks(),
+            shape=(last_row - first_row, last_col - first_col),
+            origin_xy_m=(left_m + first_col * cell_m, top_m - first_row * cell_m),
+            cell_m=cell_m,
+            crs=model.crs.to_wkt() if model.crs else None,
+            description=model.descriptions[0] or source.name,
+            unit=model.units[0] or "" if unit_m is None else "m",
+        )
+    return True
+
+
+def deliver_contours(args: Mapping[str, Any], context: Context) -> Produced:
+    """Lines of equal height of the terrain; voids interrupt them."""
+    from contourpy import contour_generator  # noqa: PLC0415 - few ask for contours
+
+    interval = args["interval"]
+    parts: dict[int, list[shapely.Geometry]] = {}
+    with opened(context.output / "dtm.tif") as model:
+        place, (rows, columns), crs = model.transform, model.shape, model.crs
+        # Blocks share the cells along their edges: their lines end at the same places.
+        for row in range(0, max(rows - 1, 1), BLOCK):
+            for col in range(0, max(columns - 1, 1), BLOCK):
+                size = min(BLOCK + 1, columns - col), min(BLOCK + 1, rows - row)
+                values = model.read(1, window=Window(col, row, *size), masked=True)
+                if min(values.shape) < 2 or not values.count():
+                    continue
+                lines = contour_generator(
+                    place.c + (col + np.arange(size[0]) + 0.5) * place.a,
+                    place.f + (row + np.arange(size[1]) + 0.5) * place.e,
+                    values.astype(np.float64),
+                )
+                low, high = float(values.min()) / interval, float(values.max()) / interval
+                for k in range(int(np.ceil(low)), int(np.floor(high)) + 1):
+                    found = lines.lines(k * interval)
+                    parts.setdefault(k, []).extend(map(shapely.linestrings, found))
+    joined = {k: shapely.line_merge(shapely.multilinestrings(parts[k])) for k in sorted(parts)}
+    single = [(k * interval, one) for k in joined for one in shapely.get_parts(joined[k])]
+    if not single:
+        return Produced((), {"name": CONTOURS, "lines": 0})
+    layer = Layer(
+        "contours", [one for _, one in single], {"height": [height for height, _ in single]}
+    )
+    path = write_layers(context.output / CONTOURS, [layer], crs.to_wkt() if crs else None)
+    return Produced([path], {"name": CONTOURS, "lines": len(single)})

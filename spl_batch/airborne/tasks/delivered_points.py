@@ -1,0 +1,122 @@
+"""Heights of delivered points above the terrain, and points that are not delivered."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.accuracy.raster_and_reference import Raster
+from spl_batch.airborne.context import Context
+from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.airborne.store.raster_cells import stored_blocks
+from spl_batch.airborne.tasks.index import CHUNK_POINTS
+from spl_batch.constants import (
+    CLASS_HIGH_NOISE,
+    CLASS_LOW_NOISE,
+    FLAG_WITHHELD,
+    NODATA,
+    QUANTUM_M,
+)
+from spl_batch.engine.store.working_store import read_receipt
+from spl_batch.formats.las.writer import KEEP_BUT_GROUND
+from spl_batch.lattice.tables import PointFlag, PointTable
+from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds, cells_touching, grow, quanta
+
+PLACE: Final = ("x", "y", "z")
+"""Columns that a height above the terrain is computed from."""
+
+
+def terrain_margin_q(workflow: Workflow) -> int:
+    """How far around a tile the terrain is read for heights above it [quanta]."""
+    return 2 * quanta(workflow.products.cell_m) * workflow.outputs.height_above_ground
+
+
+class Terrain:
+    """The terrain model of the working store, as far as a task's surfaces are there."""
+
+    def __init__(self, args: Mapping[str, Any], context: Context) -> None:
+        self._context = context
+        self._edge = quanta(context.workflow.ground.cell_m)
+        receipts = (read_receipt(context.store, "surface", n) for n in args["labels"]["surface"])
+        cores = [Bounds(*one.facts["core"]) for one in receipts if one is not None]
+        self._squares = {square for core in cores for square in cells_touching(core, self._edge)}
+
+    def heights_above(self, tile: CellId, table: PointTable) -> NDArray[np.float32]:
+        """Heights of a tile's points above the terrain, (n,) in the delivered unit; NaN at voids.
+
+        The terrain is bilinear between cell centres; beside a void it is that of the point's cell.
+        """
+        workflow = self._context.workflow
+        pixel = quanta(workflow.products.cell_m)
+        reach = grow(cell_bounds(tile, quanta(workflow.tiling.tile_m)), pixel)
+        west, south = reach.xmin // pixel * pixel, reach.ymin // pixel * pixel
+        bounds = Bounds(
+            west, south, -(-reach.xmax // pixel) * pixel, -(-reach.ymax // pixel) * pixel
+        )
+        shape = (bounds.ymax - south) // pixel, (bounds.xmax - west) // pixel
+        heights = np.full(shape, NODATA, np.float32)
+        cells = [c for c in cells_touching(bounds, self._edge) if c in self._squares]
+        rasters = self._context.rasters
+        for row, col, block in stored_blocks(rasters, "dtm", bounds, cells, ground_cell=self._edge):
+            heights[row : row + block.shape[0], col : col + block.shape[1]] = block
+        terrain = Raster(heights, west * QUANTUM_M, bounds.ymax * QUANTUM_M, pixel * QUANTUM_M)
+        place = np.column_stack([table["x"], table["y"]]) * QUANTUM_M
+        surface = terrain.bilinear(place)
+        surface = np.where(np.isnan(surface), terrain.at(place), surface)
+        above = (table["z"] * QUANTUM_M - surface) / self._context.units.vertical_m
+        found: NDArray[np.float32] = above.astype(np.float32)
+        return found
+
+
+def gone(
+    kind: str, classes: NDArray[np.uint8], las_flags: NDArray[np.uint8], flags: NDArray[np.uint8]
+) -> NDArray[np.bool_]:
+    """Which points ``outputs.drop`` means by a word: (n,) bool.
+
+    Parameters
+    ----------
+    classes, las_flags : (n,) uint8
+        Class and classification flags as they are delivered.
+    flags : (n,) uint8
+        Bits of :class:`~spl_batch.lattice.tables.PointFlag`.
+    """
+    means: dict[str, NDArray[np.bool_]] = {
+        "noise": np.isin(classes, (CLASS_LOW_NOISE, CLASS_HIGH_NOISE)),
+        "withheld": las_flags & np.uint8(FLAG_WITHHELD) != 0,
+        "outside": flags & np.uint8(PointFlag.OUTSIDE_AOI) != 0,
+    }
+    return means[kind]
+
+
+class Dropping:
+    """Which records of a file are written, and a count of the others by reason."""
+
+    def __init__(self, kinds: Sequence[str], points: int) -> None:
+        self.counts = dict.fromkeys(kinds, 0)
+        chunks = -(-points // CHUNK_POINTS)
+        self.kept = np.zeros(chunks, np.int64)  #: Of each chunk of the index [count].
+        self.copied = np.zeros(256, np.int64)  #: Labelled copies that are dropped, by class.
+        self._start = 0
+
+    def __call__(
+        self, records: NDArray[Any], labels: Mapping[str, NDArray[Any]]
+    ) -> NDArray[np.bool_]:
+        """Of records that follow those before, by the first reason that holds: (n,) bool."""
+        left = np.ones(len(records), np.bool_)
+        for kind in self.counts:
+            mine = left & gone(
+                kind, records["classification"], records["classification_flags"], labels["flags"]
+            )
+            self.counts[kind] += int(np.count_nonzero(mine))
+            left &= ~mine
+        chunk = (self._start + np.flatnonzero(left)) // CHUNK_POINTS
+        self.kept += np.bincount(chunk, minlength=len(self.kept))
+        self._start += len(records)
+        copied = labels["copied"] & (labels["classification"] < KEEP_BUT_GROUND) & ~left
+        self.copied += np.bincount(labels["classification"][copied], minlength=256)
+        return left
+
+    def facts(self) -> dict[str, Any]:
+        """What the report and client tiles need to know."""
+        return {"dropped": self.counts, "kept": self.kept.tolist()}

@@ -1,0 +1,239 @@
+"""Delivered clouds and rasters in another CRS, places by PROJ, heights too where it names them."""
+
+import math
+from collections.abc import Iterator, Sequence
+from itertools import product
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS, Transformer
+from pyproj.enums import TransformDirection
+from pyproj.exceptions import ProjError
+from rasterio.transform import Affine
+from rasterio.windows import Window
+
+from spl_batch.constants import NODATA, QUANTUM_M
+from spl_batch.errors import InputError, WorkflowError
+from spl_batch.formats.crs import (
+    GEO_KEYS,
+    WKT_KEY,
+    compound,
+    crs_name,
+    crs_problems,
+    horizontal,
+    parse_crs,
+    same_crs,
+    same_heights,
+    stretch_problem,
+    vertical,
+)
+from spl_batch.formats.las.chunks import LASZIP_KEY, RecordReader
+from spl_batch.formats.las.frame import Frame, preamble, wkt_vlr, write_laz
+from spl_batch.formats.las.header import WKT_BIT, read_header
+from spl_batch.formats.las.records import EXTRA_BYTES_KEY
+from spl_batch.formats.rasters.geotiff import write_cog
+from spl_batch.formats.rasters.parts import opened
+from spl_batch.formats.units import Units
+
+KEY: Final = "outputs.crs"
+
+_CHUNK: Final = 500_000
+"""Points that are converted at once [count]."""
+
+_BLOCK: Final = 1024
+"""Rows and columns of a raster that are made at once, of cells no coarser than before [cells]."""
+
+_EDGE_POINTS: Final = 21
+"""Points along an edge of a raster by which its extent elsewhere is found [count]."""
+
+Places = NDArray[np.float64]
+
+
+class Reprojection:
+    """From the CRS of a survey to one that a user names.
+
+    Heights change where both name a vertical CRS; without one in the target they stay above what
+    they are, in the survey's unit.
+
+    Raises
+    ------
+    WorkflowError
+        If the survey has no CRS, the named one does not serve, or heights would have to be guessed.
+    """
+
+    def __init__(self, survey: CRS | None, text: str) -> None:
+        named = parse_crs(text, KEY)
+        faults = crs_problems(named)
+        if not faults and not horizontal(named).is_projected:
+            faults = [f"{crs_name(named)} is no CRS on earth"]
+        if faults:
+            raise WorkflowError("; ".join(f"{KEY}: {fault}" for fault in faults))
+        if survey is None or not horizontal(survey).is_projected:
+            raise WorkflowError(f"{KEY}: the survey has no CRS on earth: name it in survey.crs")
+        mine, wanted = vertical(survey), vertical(named)
+        if wanted is not None and mine is None:
+            raise WorkflowError(
+                f"{KEY}: {crs_name(wanted)} is named, and nothing says what the survey's heights "
+                "are above: name it in survey.vertical_crs"
+            )
+        self.crs = named if wanted is not None or mine is None else compound(named, mine)
+        self._to, self._survey = Units.of(self.crs), survey
+        #: Units of the target's heights in one of the survey's, where no datum changes.
+        self._ratio = Units.of(survey).vertical_m / self._to.vertical_m
+        self._flat = Transformer.from_crs(horizontal(survey), horizontal(named), always_xy=True)
+        self._whole: Transformer | None = None
+        if mine is not None and wanted is not None and not same_heights(mine, wanted):
+            # Without the grid of a geoid PROJ would leave heights as they are and keep silent.
+            self._whole = Transformer.from_crs(
+                survey, named, always_xy=True, only_best=True, allow_ballpark=False
+            )
+
+    @property
+    def moves_points(self) -> bool:
+        """Whether clouds differ from those in the survey's CRS."""
+        return self._whole is not None or not same_crs(self._survey, self.crs)
+
+    def in_units(self, length_m: float) -> float:
+        """A length in metres, in the target's unit."""
+        return length_m / self._to.horizontal_m
+
+    def check(self, places: Places) -> None:
+        """Refuse what PROJ cannot convert; ``places``: corners of the survey, (n, 3)."""
+        try:
+            moved = np.concatenate([self.places(place[None]) for place in places])
+        except ProjError as error:
+            reason = str(error)
+        else:
+            if np.isfinite(moved).all():
+                if problem := stretch_problem(self.crs, self._to.metres(moved[:, :2])):
+                    raise WorkflowError(f"{KEY}: {problem[0]}")
+                return
+            reason = "a corner of the survey has no place there"
+        raise WorkflowError(
+            f"{KEY}: cannot be reached from {crs_name(self._survey)} ({reason}): name another CRS, "
+            "or put the grid that PROJ lacks into its data folder"
+        )
+
+    def places(self, xyz: Places) -> Places:
+        """Places, (n, 3), in the units of both CRS."""
+        x, y, z = xyz.T
+        if self._whole is not None:
+            return np.column_stack(self._whole.transform(x, y, z, errcheck=len(xyz) == 1))
+        x, y = self._flat.transform(x, y)
+        return np.column_stack([x, y, z * self._ratio])
+
+    def cloud(self, src: Path, dst: Path) -> int:
+        """Write a delivered cloud to a thousandth of the unit, all dimensions kept; its points."""
+        header = read_header(src)
+        dropped = {LASZIP_KEY, EXTRA_BYTES_KEY, WKT_KEY, *GEO_KEYS}
+        corners = self.places(np.array([header.mins_m, header.maxs_m], np.float64))
+        offsets = np.floor(corners.mean(axis=0) / 1000.0) * 1000.0 if header.n_points else [0.0] * 3
+        offset_x, offset_y, offset_z = map(float, offsets)
+        with RecordReader(header) as reader:
+            frame = Frame(
+                preamble=preamble(header.raw, header.global_encoding | WKT_BIT),
+                scales=(QUANTUM_M,) * 3,
+                offsets=(offset_x, offset_y, offset_z),
+                layout=reader.layout,
+                vlrs=[*(v for v in header.vlrs if v.key not in dropped), wkt_vlr(self.crs)],
+                evlrs=[(e, src) for e in header.evlrs if e.key not in dropped],
+            )
+
+            def chunks() -> Iterator[NDArray[Any]]:
+                for start in range(0, header.n_points, _CHUNK):
+                    given = reader.read(start, min(start + _CHUNK, header.n_points))
+                    raw = np.column_stack([given[axis] for axis in "XYZ"])
+                    moved = self.places(raw * header.scales + header.offsets)
+                    steps = np.rint((moved - frame.offsets) / frame.scales)
+                    if not np.abs(steps).max() < 2**31:  # a NaN is none either
+                        raise InputError(str(src), f"points have no place in {crs_name(self.crs)}")
+                    records = given.copy()
+                    for axis, values in zip("XYZ", steps.T, strict=True):
+                        records[axis] = values
+                    yield records
+
+            return write_laz(dst, frame, chunks())
+
+    def raster(
+        self, src: Path, dst: Path, *, cell: float, above_datum: bool, meaning: str, unit: str
+    ) -> None:
+        """Write a delivered raster again, bilinear between its cells, void where they are.
+
+        Parameters
+        ----------
+        cell : float
+            Edge of a cell, in the target's unit; its corners are multiples.
+        above_datum : bool
+            Whether its values are heights, not differences of such.
+        meaning, unit : str
+            As of :func:`~spl_batch.formats.rasters.geotiff.write_cog`; lengths in ``m``.
+        """
+        with opened(src) as source:
+            left, bottom, right, top = source.bounds
+            west, south, east, north = self._flat.transform_bounds(
+                left, bottom, right, top, densify_pts=_EDGE_POINTS
+            )
+            column, row = math.floor(west / cell), math.ceil(north / cell)
+            shape = row - math.floor(south / cell), math.ceil(east / cell) - column
+            place = Affine(cell, 0.0, column * cell, 0.0, -cell, row * cell)
+            blocks = self._blocks(source, place, shape, above_datum=above_datum, unit=unit)
+            write_cog(
+                dst,
+                blocks,
+                shape=shape,
+                place=place,
+                crs=self.crs.to_wkt(),
+                description=meaning,
+                unit=unit,
+            )
+
+    def _blocks(
+        self, source: Any, place: Affine, shape: Sequence[int], *, above_datum: bool, unit: str
+    ) -> Iterator[tuple[int, int, NDArray[np.float32]]]:
+        """Pieces of the raster, lengths in metres."""
+        units, mine = Units.of(self._survey), source.transform
+        _, unit_m = units.of_values(unit)
+        finer = mine.a * units.horizontal_m / (place.a * self._to.horizontal_m)
+        block = max(1, int(_BLOCK * min(1.0, finer)))
+        for row, col in product(range(0, shape[0], block), range(0, shape[1], block)):
+            rows, cols = min(block, shape[0] - row), min(block, shape[1] - col)
+            at = np.meshgrid(col + np.arange(cols) + 0.5, row + np.arange(rows) + 0.5)
+            there = place.c + at[0] * place.a, place.f + at[1] * place.e
+            x, y = self._flat.transform(*there, direction=TransformDirection.INVERSE)
+            values = _sampled(source, (x - mine.c) / mine.a, (y - mine.f) / mine.e)
+            if above_datum and self._whole is not None:
+                known = np.isfinite(values)
+                xyz = np.column_stack([x[known], y[known], values[known]])
+                values[known] = self.places(xyz)[:, 2] * self._to.vertical_m
+            else:
+                values *= unit_m
+            yield row, col, np.where(np.isnan(values), NODATA, values).astype(np.float32)
+
+
+def _sampled(source: Any, col: Places, row: Places) -> Places:
+    """Values at places in cells from the upper left corner, (n, m) each; NaN where void.
+
+    Void where the cell is; beside voids the cell's own value.
+    """
+    out = np.full(col.shape, np.nan)
+    near_col, near_row = np.floor(col), np.floor(row)
+    held = (
+        (near_col >= 0) & (near_col < source.width) & (near_row >= 0) & (near_row < source.height)
+    )
+    if not held.any():
+        return out
+    u, v = col[held] - 0.5, row[held] - 0.5
+    left, top = int(np.floor(u.min())), int(np.floor(v.min()))
+    window = Window(left, top, int(np.floor(u.max())) + 2 - left, int(np.floor(v.max())) + 2 - top)
+    cells = source.read(1, window=window, boundless=True, fill_value=source.nodata)
+    cells = np.where(cells == source.nodata, np.nan, cells.astype(np.float64))
+    c, r = np.floor(u).astype(int) - left, np.floor(v).astype(int) - top
+    fu, fv = u - np.floor(u), v - np.floor(v)
+    upper = cells[r, c] * (1 - fu) + cells[r, c + 1] * fu
+    lower = cells[r + 1, c] * (1 - fu) + cells[r + 1, c + 1] * fu
+    mean = upper * (1 - fv) + lower * fv
+    own = cells[near_row[held].astype(int) - top, near_col[held].astype(int) - left]
+    out[held] = np.where(np.isnan(own) | np.isnan(mean), own, mean)
+    return out

@@ -1,0 +1,100 @@
+"""Units of lengths: work is done in metres, files are in the unit that their CRS names.
+
+Coordinates of a CRS times :class:`Units` are metres on the same axes: a pure factor, no projection.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS
+from pyproj.database import get_units_map
+
+from spl_batch.constants import FOOT_M, US_FOOT_M
+
+METRE: Final = "metre"
+US_FOOT: Final = "US survey foot"
+
+_COMMON: Final = {METRE: 1.0, "foot": FOOT_M, US_FOOT: US_FOOT_M}
+"""Units of deliveries by PROJ's names [m]; files name them in many ways, with as many digits."""
+
+_SAME_UNIT: Final = 5e-7
+"""Relative difference within which a unit is one of these: both feet differ by 2e-6."""
+
+
+@dataclass(frozen=True, slots=True)
+class Units:
+    """Units of a CRS, by PROJ's names, and the metres in one of each."""
+
+    horizontal: str = METRE
+    horizontal_m: float = 1.0
+    vertical: str = METRE
+    vertical_m: float = 1.0
+
+    @classmethod
+    def of(cls, crs: CRS | None) -> Self:
+        """Units of a CRS; metres without one, and in place of degrees.
+
+        Heights that no vertical axis has a unit for are in that of eastings.
+        """
+        return cls() if crs is None else cls(*_of_wkt(crs.to_wkt()))
+
+    @property
+    def are_metres(self) -> bool:
+        """Whether nothing has to be converted."""
+        return self.horizontal_m == self.vertical_m == 1.0
+
+    @property
+    def xyz_m(self) -> tuple[float, float, float]:
+        """Metres in a unit of easting, northing and height."""
+        return self.horizontal_m, self.horizontal_m, self.vertical_m
+
+    @property
+    def of_heights(self) -> tuple[str, float]:
+        """Unit of heights as pages write it, and the metres in it."""
+        return "ft" if self.vertical.endswith("foot") else self.vertical, self.vertical_m
+
+    def of_values(self, unit: str) -> tuple[str, float]:
+        """Unit in which a raster's values [``unit``] are delivered, and ``unit`` in one of it."""
+        lengths = unit == "m" and self.vertical_m != 1.0
+        return (self.vertical, self.vertical_m) if lengths else (unit, 1.0)
+
+    def metres(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Places of the CRS, (n, 2 or 3), in metres."""
+        return places if self.are_metres else places * self.xyz_m[: places.shape[1]]
+
+
+METRES: Final = Units()
+"""Of a CRS in metres, and of everything between reading and writing."""
+
+
+@lru_cache(maxsize=64)
+def _of_wkt(wkt: str) -> tuple[str, float, str, float]:
+    """Fields of :class:`Units` by a CRS, of which a survey has few."""
+    crs = CRS.from_wkt(wkt)
+    flat: list[tuple[str, float]] = []
+    upright: list[tuple[str, float]] = []
+    for axis in crs.axis_info:
+        kind = upright if axis.direction in {"up", "down"} else flat
+        kind.append(_named(axis.unit_name, axis.unit_conversion_factor))
+    horizontal = (METRE, 1.0) if crs.is_geographic or not flat else flat[0]
+    return (*horizontal, *(upright or [horizontal])[0])
+
+
+def _named(name: str, metres: float) -> tuple[str, float]:
+    """A unit by its common name, if it has one, and the metres in it."""
+    for common, exact in _COMMON.items():
+        if abs(metres / exact - 1.0) < _SAME_UNIT:
+            return common, exact
+    return name, metres
+
+
+@lru_cache(maxsize=64)
+def metres_in(unit: str) -> float | None:
+    """Metres in a unit by PROJ's name; None of one that PROJ does not know."""
+    if unit in _COMMON:
+        return _COMMON[unit]
+    known = get_units_map(auth_name="EPSG", category="linear").get(unit)
+    return None if known is None else float(known.conv_factor)

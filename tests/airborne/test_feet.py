@@ -1,0 +1,175 @@
+"""A survey in feet: the same labels and the same terrain as of its twin in metres."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pyogrio
+import pytest
+import rasterio
+import shapely
+import yaml
+from pyproj import CRS
+
+from spl_batch import api
+from spl_batch.constants import NODATA
+from tests import surveys
+
+pytestmark = pytest.mark.slow
+
+ROOT = Path(__file__).parents[2]
+FEET, US_M = "EPSG:2278+6360", 1200 / 3937
+HEIGHTS = ("dtm", "dsm", "chm", "dtm_quality")
+
+
+@pytest.fixture(scope="module")
+def twins(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Outputs of a run in metres and of one on its exact conversion to feet."""
+    metres, feet = tmp_path_factory.mktemp("metres"), tmp_path_factory.mktemp("feet")
+    surveys.small_survey(metres)
+    surveys.write_trajectory(metres / "trajectory.csv")
+    for path in sorted((metres / "lines").iterdir()):
+        surveys.in_feet(path, feet / "lines" / path.name, FEET, [US_M] * 3)
+    for folder, unit_m in ((metres, 1.0), (feet, US_M)):
+        rows = np.loadtxt(metres / "trajectory.csv", delimiter=",", skiprows=1)
+        rows[:, 1:] /= unit_m
+        head = "gps_time,x,y,z"
+        np.savetxt(folder / "trajectory.csv", rows, "%.7f", ",", header=head, comments="")
+        x, y = np.add(surveys.ORIGIN_M, (3.2, 0.7)) / unit_m
+        text = f"id,x,y,z,accuracy_m\nA,{x:.6f},{y:.6f},{20.2 / unit_m:.6f},0.01\n"
+        (folder / "checkpoints.csv").write_text(text)
+    outputs = {"tiles": "copc", "crs": FEET, "cell": 3}
+    in_metres = surveys.write_workflow(metres, reference={"checkpoints": "checkpoints.csv"})
+    in_feet = surveys.write_workflow(
+        feet, reference={"checkpoints": "checkpoints.csv"}, outputs=outputs
+    )
+    return surveys.run(in_metres).output, surveys.run(in_feet).output
+
+
+def test_labels_and_raw_coordinates_are_the_same(twins: tuple[Path, Path]) -> None:
+    surveys.assert_same_labels(*map(surveys.delivered, twins))
+
+
+def test_rasters_are_the_same_to_a_tenth_of_a_millimetre(twins: tuple[Path, Path]) -> None:
+    for name in surveys.PRODUCTS:
+        with (
+            rasterio.open(twins[0] / f"{name}.tif") as a,
+            rasterio.open(twins[1] / f"{name}.tif") as b,
+        ):
+            ours, theirs = a.read(1).astype(float), b.read(1).astype(float)
+            np.testing.assert_array_equal(ours == NODATA, theirs == NODATA)
+            theirs[theirs != NODATA] *= US_M if name in HEIGHTS else 1.0
+            np.testing.assert_allclose(theirs, ours, atol=1e-4, err_msg=name)
+            assert b.units[0] == ("US survey foot" if name in HEIGHTS else a.units[0])
+            assert b.transform.c * US_M == pytest.approx(a.transform.c, abs=1e-6)
+            assert CRS.from_wkt(b.crs.to_wkt()).to_epsg() == 8782
+
+
+def test_the_report_states_the_units(twins: tuple[Path, Path]) -> None:
+    metres, feet = (json.loads((out / "report.json").read_text()) for out in twins)
+    assert metres["survey"]["units"]["vertical"] == "metre"
+    assert feet["survey"]["units"]["vertical"] == "US survey foot"
+    assert feet["survey"]["units"]["horizontal_m"] == US_M
+    (ours,), (theirs,) = (found["checkpoints"]["points"] for found in (metres, feet))
+    assert theirs["error_m"] == pytest.approx(ours["error_m"], abs=1e-4)
+    assert theirs["x_m"] == pytest.approx(ours["x_m"], abs=1e-5)
+    assert not [one for one in feet["findings"] if one["code"] in {"C01", "I08"}]
+
+
+def test_catalogues_lie_where_the_clouds_do(twins: tuple[Path, Path]) -> None:
+    boxes, shares = [], []
+    for output, unit_m in zip(twins, (1.0, US_M), strict=True):
+        for layer in ("flightlines", "files", "checkpoints"):
+            found = pyogrio.read_info(output / "index.gpkg", layer=layer, force_total_bounds=True)
+            boxes.append(np.array(found["total_bounds"]) * unit_m)
+        _, _, _, columns = pyogrio.raw.read(output / "index.gpkg", "files", columns=["per_m2"])
+        shares.append(columns[0])
+    np.testing.assert_allclose(boxes[:3], boxes[3:], atol=1e-3)
+    np.testing.assert_allclose(*shares, rtol=1e-6)
+    item = json.loads((twins[1] / "stac" / "dtm.json").read_text())
+    assert item["properties"]["gsd"] == 1.0
+    assert item["properties"]["proj:transform"][0] == pytest.approx(1.0 / US_M)
+
+
+def test_whole_feet_and_points_by_tile(twins: tuple[Path, Path]) -> None:
+    output = twins[1]
+    with rasterio.open(output / "reprojected" / "dtm.tif") as source:
+        assert source.transform.a == 3.0
+        assert source.transform.c % 3.0 == 0.0
+        values = source.read(1)
+    with rasterio.open(output / "dtm.tif") as source:
+        whole = source.read(1)
+    means = [part[part != NODATA].mean() for part in (values, whole)]
+    assert means[0] == pytest.approx(means[1], abs=0.5)
+    assert not (output / "reprojected" / "laz").exists()
+    tiles = sorted((output / "tiles").glob("*.copc.laz"))
+    points = np.concatenate([np.asarray(surveys.laspy.read(tile).xyz) for tile in tiles])
+    given = np.concatenate([surveys.laspy.read(p).xyz for p in (output / "laz").rglob("*.laz")])
+    assert len(points) == len(given)
+    assert np.abs(points.mean(axis=0) - given.mean(axis=0)).max() < 0.002
+
+
+def test_one_file_in_feet(twins: tuple[Path, Path], tmp_path: Path) -> None:
+    source = twins[1].parent / "lines" / "line_1.laz"
+    dtm = tmp_path / "dtm.tif"
+    api.denoise(source, tmp_path / "clean.laz", ground=True, dtm=dtm, workers=0)
+    given, made = surveys.cloud(source), surveys.cloud(tmp_path / "clean.laz")
+    for axis in "XYZ":
+        np.testing.assert_array_equal(given[axis], made[axis])
+    with rasterio.open(dtm) as raster:
+        assert raster.units[0] == "US survey foot"
+    shutil.copytree(source.parent, tmp_path / "lines")
+    assert surveys.command("init", tmp_path / "lines").status == 0
+
+
+def test_the_workflow_of_a_us_county(twins: tuple[Path, Path], tmp_path: Path) -> None:
+    crs, feet = "EPSG:6588+6360", twins[1].parent
+    for path in (feet / "lines").glob("*.laz"):
+        las = surveys.laspy.read(path)
+        las.header.vlrs = [v for v in las.header.vlrs if v.user_id != "LASF_Projection"]
+        las.header.add_crs(CRS.from_user_input(crs))
+        (tmp_path / "points").mkdir(exist_ok=True)
+        las.write(tmp_path / "points" / path.name)
+    shutil.copy(feet / "checkpoints.csv", tmp_path)
+    shutil.copy(feet / "trajectory.csv", tmp_path)
+    x, y = np.array(surveys.ORIGIN_M) / US_M
+    areas = {
+        "A1": shapely.box(x - 50, y - 99, x + 9, y + 99),
+        "A2": shapely.box(x + 9, y - 99, x + 20, y + 99),
+    }
+    for name, field, shapes in (
+        ("county.gpkg", "name", {"county": shapely.unary_union(list(areas.values()))}),
+        ("county_tiles.gpkg", "tile", areas),
+    ):
+        wkb = shapely.to_wkb(np.array(list(shapes.values()), object))
+        pyogrio.raw.write(
+            tmp_path / name, wkb, [np.array(list(shapes), object)], [field],
+            geometry_type="Polygon", crs=crs,
+        )  # fmt: skip
+    content = yaml.safe_load((ROOT / "workflows" / "us_county.yaml").read_text())
+    content["survey"]["trajectory"] = "trajectory.csv"
+    content["ground"] = {"cell_m": 50, "buffer_m": 20}
+    content["acquisition"] = {"prf_hz": surveys.PRF_HZ, "gate_m": surveys.GATE_M}
+    workflow = tmp_path / "us_county.yaml"
+    workflow.write_text(yaml.safe_dump(content))
+    done = surveys.run(workflow)
+    assert done.exit_status == 0, done.report.failures
+    counts, out = done.report.counts, done.output
+    assert counts.points_in == counts.points_out + sum(counts.dropped.values())
+    assert done.report.survey.units.vertical == "US survey foot"
+    found = done.report.requirements[0].found.replace("\N{NARROW NO-BREAK SPACE}", " ")
+    assert re.fullmatch(r"RMSE_V \d\.\d{3} ft \(\d+\.\d cm\) at 1 checkpoints", found)
+    tiles = [surveys.laspy.read(out / "client_tiles" / f"{name}.copc.laz") for name in areas]
+    assert sum(len(tile) for tile in tiles) == counts.points_out
+    for tile, area in zip(tiles, areas.values(), strict=True):
+        assert shapely.contains_xy(area.buffer(0.02), tile.x, tile.y).all()
+    with rasterio.open(out / "dtm.tif") as source:
+        (terrain,) = source.sample([(tiles[0].x[0], tiles[0].y[0])])
+    above = tiles[0].z[0] - terrain[0]
+    assert tiles[0]["HeightAboveGround"][0] == pytest.approx(above, abs=0.5)
+    with rasterio.open(out / "reprojected" / "dtm.tif") as source:
+        assert source.transform.a == 3.0
+    _, _, _, (heights,) = pyogrio.raw.read(out / "contours.gpkg", columns=["height"])
+    assert set(heights % 2) == {0.0}

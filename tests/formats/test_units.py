@@ -1,0 +1,178 @@
+"""Feet: what is read is metres, what is written is the CRS's unit, and nothing is guessed."""
+
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+import rasterio
+from pyproj import CRS, Transformer
+
+from spl_batch.constants import FOOT_M, NODATA, QUANTUM_M
+from spl_batch.errors import WorkflowError
+from spl_batch.formats.geoid import Geoid
+from spl_batch.formats.las.reader import inspect, iter_points
+from spl_batch.formats.las.writer import write_points
+from spl_batch.formats.rasters.geotiff import write_cog
+from spl_batch.formats.rasters.parts import overview_frame, read_overview, read_part
+from spl_batch.formats.reprojection import Reprojection
+from spl_batch.formats.trajectory.positions import gathering
+from spl_batch.formats.units import METRES, US_FOOT, Units
+from tests import surveys
+from tests.formats.test_geoid import write_grid
+
+US_M = 1200 / 3937
+TEXAS, OREGON, MIXED = "EPSG:2278+6360", "EPSG:2992+8228", "EPSG:2278+5703"
+IN_FEET = [(TEXAS, US_M, US_M), (OREGON, FOOT_M, FOOT_M), (MIXED, US_M, 1.0)]
+
+
+@pytest.mark.parametrize(
+    ("text", "units"),
+    [
+        ("EPSG:32615+5703", METRES),
+        ("EPSG:4326", METRES),
+        (MIXED, Units(US_FOOT, US_M)),
+        ("EPSG:32615+8228", Units(vertical="foot", vertical_m=FOOT_M)),
+        ("EPSG:2992", Units("foot", FOOT_M, "foot", FOOT_M)),
+        ('LOCAL_CS["x",UNIT["Foot_US",0.3048006]]', Units(US_FOOT, US_M, US_FOOT, US_M)),
+    ],
+)
+def test_units_of_a_crs(text: str, units: Units) -> None:
+    assert Units.of(CRS.from_user_input(text)) == units
+    assert Units.of(None) == METRES
+
+
+@pytest.mark.parametrize(("text", "flat_m", "height_m"), IN_FEET)
+def test_points_in_feet_are_those_in_metres_and_are_written_in_feet(
+    tmp_path: Path, text: str, flat_m: float, height_m: float
+) -> None:
+    path, crs = tmp_path / "m.laz", CRS.from_user_input(text)
+    surveys.write_cloud(path, surveys.flightline(shots=20), scale=0.01)
+    feet = surveys.in_feet(path, tmp_path / "ft.laz", text, (flat_m, flat_m, height_m))
+    units = Units.of(crs)
+    (table,) = iter_points(path, channel_dimension="channel", source=1)
+    (read,) = iter_points(feet, channel_dimension="channel", source=1, units=units)
+    for name in table.columns:
+        np.testing.assert_array_equal(table[name], read[name], name)
+    box = inspect(feet).in_metres(units)
+    np.testing.assert_allclose(box.mins_m, inspect(path).mins_m, atol=1e-6)
+    write_points(tmp_path / "tile.laz", read, crs=crs)
+    written = laspy.read(tmp_path / "tile.laz")
+    assert written.header.scales.tolist() == [0.001] * 3
+    own_m = np.column_stack([table[axis] * QUANTUM_M for axis in "xyz"])
+    off = np.abs(written.xyz * units.xyz_m - own_m)
+    assert off.max() <= 0.0005 * max(units.xyz_m) + 1e-6
+
+
+@pytest.mark.parametrize(("text", "flat_m", "height_m"), IN_FEET)
+def test_rasters_are_written_in_the_unit_and_read_in_metres(
+    tmp_path: Path, text: str, flat_m: float, height_m: float
+) -> None:
+    heights = np.array([[812.125, NODATA, 3], [4, 5, 6]], np.float32)
+    how = {"shape": (2, 3), "origin_xy_m": (272_000.0, 3_290_002.0), "cell_m": 1.0, "crs": text}
+    for name, unit in (("dtm", "m"), ("density", "1/m2")):
+        write_cog(tmp_path / name, heights, description=name, unit=unit, **how)  # type: ignore[arg-type]
+    with rasterio.open(tmp_path / "dtm") as source, rasterio.open(tmp_path / "density") as other:
+        assert source.units[0] == ("m" if height_m == 1.0 else Units.of(CRS(text)).vertical)
+        assert source.transform.a == 1.0 / flat_m
+        assert source.read(1)[0, 0] == np.float32(812.125 / height_m)
+        np.testing.assert_array_equal(other.read(1), heights)
+    part = read_part(tmp_path / "dtm", (272_001.5, 3_290_000.5, 272_001.6, 3_290_000.6))
+    assert part is not None
+    np.testing.assert_allclose(part.values, heights, atol=1e-4)
+    assert part.extent_m == (272_000.0, 272_003.0, 3_290_000.0, 3_290_002.0)
+    assert overview_frame(tmp_path / "dtm") == (2, 3, 272_000.0, 3_290_002.0, 1.0)
+    assert read_overview(tmp_path / "density").values[1, 2] == 6.0
+
+
+@pytest.mark.parametrize("named", [None, TEXAS])
+def test_a_trajectory_in_the_surveys_feet_is_read_in_metres(tmp_path: Path, named) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("gps_time,x,y,z\n1,3000000,13000000,6000\n2,3000100,13000000,6000\n")
+    crs = CRS.from_user_input(TEXAS)
+    with gathering([path], survey_crs=crs, trajectory_crs=named) as found:
+        ((_, xyz),) = found
+    np.testing.assert_allclose(xyz[1], np.array([3_000_100, 13_000_000, 6000]) * US_M, atol=1e-6)
+
+
+def test_a_geoid_below_a_survey_in_feet(tmp_path: Path) -> None:
+    name = write_grid(tmp_path / "a.gtx")
+    utm, feet = CRS.from_epsg(26915), CRS.from_epsg(2278)
+    x, y = np.array([272_000.0]), np.array([3_290_000.0])
+    there = Transformer.from_crs(utm, feet, always_xy=True).transform(x, y)
+    geoid = Geoid(name, tmp_path / name, feet)
+    above = geoid.heights(there[0] * US_M, there[1] * US_M)
+    np.testing.assert_allclose(above, Geoid(name, tmp_path / name, utm).heights(x, y), atol=1e-6)
+    assert Units.of(geoid.crs_above("EPSG:6360")).vertical == US_FOOT
+    with pytest.raises(WorkflowError, match="is not in US survey foot"):
+        geoid.crs_above("EPSG:5703")
+
+
+def test_clouds_and_rasters_in_another_crs(tmp_path: Path) -> None:
+    utm, texas = CRS.from_user_input("EPSG:32615+5703"), CRS.from_user_input(TEXAS)
+    moved = Reprojection(utm, TEXAS)
+    path = surveys.write_cloud(tmp_path / "a.laz", surveys.flightline(shots=20), crs=utm.srs)
+    before = laspy.read(path)
+    assert moved.cloud(path, tmp_path / "b.laz") == len(before)
+    after = laspy.read(tmp_path / "b.laz")
+    assert after.header.parse_crs().equals(texas)
+    there = Transformer.from_crs(utm, texas, always_xy=True).transform(*before.xyz.T)
+    np.testing.assert_allclose(after.xyz.T, there, atol=5.1e-4)
+    for name in {*before.point_format.dimension_names} - {*"XYZ"}:
+        np.testing.assert_array_equal(before[name], after[name], name)
+
+    plane = np.add.outer(-0.5 * np.arange(40), 0.25 * np.arange(60)).astype(np.float32) + 90
+    plane[10:13, 10:13] = NODATA
+    write_cog(
+        tmp_path / "dtm", plane, shape=plane.shape, origin_xy_m=(272_000.0, 3_290_000.0),
+        cell_m=1.0, crs=utm.to_wkt(), description="", unit="m",
+    )  # fmt: skip
+    moved.raster(
+        tmp_path / "dtm", tmp_path / "ft", cell=3.0, above_datum=True, meaning="", unit="m"
+    )
+    with rasterio.open(tmp_path / "ft") as source:
+        place, values = source.transform, source.read(1).astype(float)
+    assert place.a == 3.0
+    assert (place.c % 3.0, place.f % 3.0) == (0.0, 0.0)
+    rows, cols = np.nonzero(values != NODATA)
+    inverse = Transformer.from_crs(2278, 32615, always_xy=True)
+    x, y = inverse.transform(*(place * (cols + 0.5, rows + 0.5)))
+    u, v = x - 272_000.5, 3_289_999.5 - y
+    inner = (u > 14) & (u < 58) & (v > 1) & (v < 38)
+    expected = (90 - 0.5 * v + 0.25 * u) / US_M
+    np.testing.assert_allclose(values[rows, cols][inner], expected[inner], atol=1e-3)
+    area_m2 = len(rows) * (3.0 * US_M) ** 2
+    assert area_m2 == pytest.approx(40 * 60 - 9, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("survey", "named", "fault"),
+    [
+        ("EPSG:32615", TEXAS, "nothing says what the survey's heights"),
+        (None, TEXAS, "the survey has no CRS"),
+        ("EPSG:32615", "EPSG:4326", "geographic"),
+        ("EPSG:32615+5703", "EPSG:2278+5773", "cannot be reached .* grid that PROJ lacks"),
+        ("EPSG:32615", "EPSG:32606", "stretches lengths"),
+    ],
+)
+def test_a_crs_that_cannot_be_reached_is_refused(survey, named: str, fault: str) -> None:
+    crs = None if survey is None else CRS.from_user_input(survey)
+    corner = np.array([[272_000.0, 3_290_000.0, 20.0]])
+    with pytest.raises(WorkflowError, match=fault):
+        Reprojection(crs, named).check(corner)
+
+
+@pytest.mark.parametrize(
+    ("named", "crs", "moves", "ratio"),
+    [
+        ("EPSG:2278", "EPSG:2278+5703", True, 1.0),
+        ("EPSG:32615+5703", "EPSG:32615+5703", False, 1.0),
+        ("EPSG:32615+6360", "EPSG:32615+6360", True, 1.0 / US_M),
+    ],
+)
+def test_heights_stay_where_none_are_named(named: str, crs: str, *, moves, ratio: float) -> None:
+    found = Reprojection(CRS.from_user_input("EPSG:32615+5703"), named)
+    assert found.crs.sub_crs_list[1].equals(CRS.from_user_input(crs).sub_crs_list[1])
+    assert found.moves_points == moves
+    ((_, _, z),) = found.places(np.array([[272_000.0, 3_290_000.0, 20.0]]))
+    assert z == pytest.approx(20.0 * ratio)
