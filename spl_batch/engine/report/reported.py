@@ -76,7 +76,7 @@ def _subject(subjects: Sequence[str], noun: str, *, graded: bool) -> str:
 
 def _within(place: Box) -> str:
     west, south, east, north = (grouped(round(side)) for side in place)
-    return f"within x {west} to {east} and y {south} to {north}"
+    return f"within x {west} to {east} and y {south} to {north} m"
 
 
 class _Words(Formatter):
