@@ -3,7 +3,7 @@
 import difflib
 import glob
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -122,11 +122,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     beside = _shapes(workflow) | _tiles(workflow)
     if workflow.reference and workflow.reference.checkpoints is not None:
         beside["reference.checkpoints"] = workflow.reference.checkpoints
-    for key, name in beside.items():
-        if fault := url_fault(name):
-            faults.append(f"{key}: {name}: {fault}")
-        elif not (base / name).exists():
-            faults.append(f"{key}: {base / name} does not exist; {CHECK}")
+    faults += _missing(beside, base)
     refuse_own(paths, output, "survey.flightlines", faults)
     if faults:
         raise WorkflowError("; ".join(faults))
@@ -180,6 +176,15 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         _unreadable(trajectory),
         areas,
     )
+
+
+def _missing(named: Mapping[str, str], base: Path) -> Iterator[str]:
+    """A sentence for each file that cannot be there, by its key."""
+    for key, name in named.items():
+        if fault := url_fault(name):
+            yield f"{key}: {name}: {fault}"
+        elif not (base / name).exists():
+            yield f"{key}: {base / name} does not exist; {CHECK}"
 
 
 def _tiles(workflow: Workflow) -> dict[str, str]:
