@@ -105,7 +105,7 @@ def _scatter(name: str, line: int, k: int, side: int) -> Receipt:
     low, high = [k * TILE_M, south * TILE_M], [(k + 2) * TILE_M, (south + SWATH_TILES) * TILE_M]
     facts = {
         "tiles": {f"{i}_{j}": [g, TILE_POINTS // 4] for g, (i, j) in enumerate(cells)},
-        "voxels": [*(v // 10 for v in low), 0, *(v // 10 for v in high), 40],
+        "voxels": {name: [*(v // 10 for v in low), 0, *(v // 10 for v in high), 40]},
         "fired": [*low, *high],
         "fired_blocks": [12, 0],
     }

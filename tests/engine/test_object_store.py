@@ -89,7 +89,7 @@ def test_results_are_those_of_a_local_store(
     assert result.report is not None
     assert surveys.results(result.output) == expected
     there = keys("one")
-    assert {k.split("/")[1] for k in there} >= {"receipts", "tiles", "voxels", "fired", "noise"}
+    assert {k.split("/")[1] for k in there} >= {"receipts", "tiles", "voxels", "fired", "denoise"}
     local = {p.name for p in (result.output / "store").iterdir()}
     assert local == {"lock", "run.json", "noise.tif"}
     held = [path for path in survey.parent.rglob("*") if path.is_file()]

@@ -113,7 +113,7 @@ def test_a_cell_goes_without_labels_of_what_failed(tmp_path: Path) -> None:
     known.of("ground").put(receipt("ground", "0_0"))
     job = work.job(task)
     assert job is not None
-    assert job.task.args["labels"] == {"noise": ["b"], "ground": ["0_0"], "classes": []}
+    assert job.task.args["labels"] == {"denoise": ["b"], "ground": ["0_0"], "surface": []}
     assert job.task.args["aligned"] is False
     assert job.task.needs == (needs[1], needs[2])
 

@@ -93,8 +93,7 @@ def denoise(survey: Survey) -> Iterator[Task]:
     stretch_of: dict[str, str] = {}
     voxels: dict[str, Sequence[int]] = {}
     for stretch, receipt in survey.of("scatter").items():
-        boxes = dict(receipt.facts.get("voxels_apart", {}))
-        boxes |= {stretch: receipt.facts["voxels"]} if "voxels" in receipt.facts else {}
+        boxes = receipt.facts.get("voxels", {})
         voxels |= {name: (x0, y0, x1, y1) for name, (x0, y0, _, x1, y1, _) in boxes.items()}
         stretch_of |= dict.fromkeys(boxes, stretch)
     index = index_of_boxes(voxels, voxel_q)

@@ -17,9 +17,9 @@ from spl_batch.engine.report.run_record import Receipts
 from spl_batch.engine.store.working_store import Store
 from spl_batch.engine.tasks.task import Need
 from spl_batch.formats.verified.parquet_npz import (
+    Groups,
     groups_between,
     ranges_of,
-    read_groups,
     read_table,
     reading,
     writing,
@@ -128,10 +128,9 @@ class LabelFile:
             for name in ("tile_i", "tile_j", "row")
         )
         self._tile = np.stack([i[:, 0], j[:, 0]], axis=1)
-        counts = [self._footer.row_group(g).num_rows for g in range(len(self._rows))]
-        self._count = np.array(counts)
+        held = self._rows[:, 1] >= self._rows[:, 0]  # an empty group has no bounds
         #: Columns and rows of the tiles that it labels points of.
-        self.tiles = {(i, j) for i, j in self._tile[self._count > 0].tolist()}
+        self.tiles = {(i, j) for i, j in self._tile[held].tolist()}
 
     def read(
         self, tile: CellId, names: Sequence[str], rows: tuple[int, int]
@@ -148,17 +147,10 @@ class LabelFile:
         dict of str to (m,) ndarray
             The labels, and ``row``: which rows of the tile they belong to, increasing.
         """
-        meets = (self._tile == tile).all(axis=1) & (self._count > 0)
+        meets = (self._tile == tile).all(axis=1)
         meets &= (self._rows[:, 0] <= rows[1]) & (self._rows[:, 1] >= rows[0])
-        wanted = np.flatnonzero(meets)
-        low, high = self._rows[wanted].T
-        with reading(self._path, self._footer) as file:
-            if np.any(high - low + 1 != self._count[wanted]):
-                return read_groups(file, ["row", *names], wanted.tolist())
-            # No row is left out: which they are need not be read.
-            held = [np.arange(a, b + 1) for a, b in zip(low, high, strict=True)]
-            row = np.concatenate(held) if held else np.arange(0)
-            return {"row": row, **read_groups(file, names, wanted.tolist())}
+        groups = Groups(self._path, self._footer, np.flatnonzero(meets).tolist())
+        return groups.read(["row", *names])[0]
 
 
 Files = Callable[[Unit], LabelFile]

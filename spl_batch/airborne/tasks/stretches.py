@@ -5,15 +5,14 @@ to prove that it can be, keeps what it finds, and a stretch is read from there a
 needed, with the columns that are.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
-from spl_batch.formats.verified.parquet_npz import GroupWriter, group_ranges, read_table
+from spl_batch.formats.verified.parquet_npz import GroupWriter, groups_between
 from spl_batch.lattice.row_order import in_order, lexicographic_order
 from spl_batch.lattice.tables import (
     EXCLUDED,
@@ -86,10 +85,10 @@ def read_stretch(
     """
     clock = ShotClock(args["t0_s"], args["prf_hz"])
     columns = list(dict.fromkeys((*TIME_ORDER, *names)))
+    read = (*columns, "point_source_id")
     pieces = [
-        _of_stretch(piece, args, clock)
+        _of_stretch(read_kept(name, context, read, args["window_s"]), args, clock)
         for name in args["sources"]
-        for piece in _pieces(name, args["window_s"], context, (*columns, "point_source_id"))
     ]
     ranked = list(dict.fromkeys(int(name.partition("-")[0]) for name in args["sources"]))
     table, copies = _once(_in_time_order(concat(pieces, [*columns, "shot"])), ranked)
@@ -132,30 +131,21 @@ def without_copies(table: PointTable, again: NDArray[np.bool_]) -> tuple[PointTa
     return table.take(~again) if len(row) else table, copies
 
 
-def _pieces(
-    kept: str, window_s: tuple[float, float], context: Context, names: Sequence[str]
-) -> Iterator[PointTable]:
-    """Row groups of a file, or of a part of one, that can hold points of a time span."""
-    path = _path(kept, context)
-    ranges = np.array(group_ranges(path, "gps_time"), dtype=np.float64).reshape(-1, 2)
-    hits = np.flatnonzero((ranges[:, 0] <= window_s[1]) & (ranges[:, 1] >= window_s[0]))
-    for run in np.split(hits, np.flatnonzero(np.diff(hits) > 1) + 1):
-        if len(run):
-            yield read_kept(kept, context, names, run.tolist())
-
-
 def read_kept(
-    kept: str, context: Context, names: Sequence[str], groups: Sequence[int] | None = None
+    kept: str,
+    context: Context,
+    names: Sequence[str],
+    window_s: tuple[float, float] | None = None,
 ) -> PointTable:
-    """Columns of what is kept of a file, or of a part of one; some of its row groups, or all."""
-    columns = [name for name in names if name != "source"]
-    table = read_table(_path(kept, context), columns, groups)
-    source = np.uint64(int(kept.partition("-")[0]))
+    """Columns of what is kept of a file, or of a part of one.
+
+    All of it, or the row groups that can hold points of a time span.
+    """
+    path = context.store.path("points", f"{kept}.parquet")
+    groups = groups_between(path, {} if window_s is None else {"gps_time": window_s})
+    columns, _ = groups.read([name for name in names if name != "source"])
+    table, source = PointTable(columns), np.uint64(int(kept.partition("-")[0]))
     return table.with_columns(source=np.full(len(table), source))
-
-
-def _path(kept: str, context: Context) -> Path:
-    return context.store.path("points", f"{kept}.parquet")
 
 
 def _of_stretch(table: PointTable, args: Mapping[str, Any], clock: ShotClock) -> PointTable:

@@ -183,13 +183,11 @@ def _assess(
         table = table.with_columns(flags=flags)
     parts = voxel_noise.deposit(lit, beams, model, workflow.noise, ground)
     # A stretch is one box of voxels, unless some of its points lie far from the rest.
-    names = [args["stretch"], *(f"{args['stretch']}.{k}" for k in range(1, len(parts)))]
-    paths = [context.store.path("voxels", f"{name}.zarr") for name in names[: len(parts)]]
+    names = [f"{args['stretch']}{f'.{k}' if k else ''}" for k in range(len(parts))]
+    paths = [context.store.path("voxels", f"{name}.zarr") for name in names]
     for path, part in zip(paths, parts, strict=True):
         write_voxels(path, part)
-    boxes = [part.box() for part in parts]
-    facts |= {"voxels": boxes[0]} if boxes else {}
-    facts |= {"voxels_apart": dict(zip(names[1:], boxes[1:], strict=True))} if boxes[1:] else {}
+    facts["voxels"] = {name: part.box() for name, part in zip(names, parts, strict=True)}
     return table, [*paths, *_write_fired(lit, beams, model, args, context, facts)]
 
 

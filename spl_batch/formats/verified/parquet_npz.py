@@ -208,14 +208,14 @@ class Groups(NamedTuple):
             return read_groups(file, names, self.wanted), np.concatenate([np.arange(0), *row])
 
 
-def groups_between(path: Path, spans: Mapping[str, tuple[int, int]]) -> Groups:
+def groups_between(path: Path, spans: Mapping[str, tuple[float, float]]) -> Groups:
     """Row groups of a file that may hold values within some spans, from its footer alone.
 
     Parameters
     ----------
     path : Path
         File written by :func:`write_table`.
-    spans : mapping of str to (int, int)
+    spans : mapping of str to (float, float)
         Smallest and largest value of interest by column; every column has to meet its own.
 
     Raises
@@ -227,7 +227,7 @@ def groups_between(path: Path, spans: Mapping[str, tuple[int, int]]) -> Groups:
         footer = _read_footer(stream)
         meets = np.ones(footer.num_row_groups, np.bool_)
         for name, (low, high) in spans.items():
-            ranges = np.array(ranges_of(footer, name), dtype=np.int64).reshape(-1, 2)
+            ranges = np.array(ranges_of(footer, name)).reshape(-1, 2)
             meets &= (ranges[:, 0] <= high) & (ranges[:, 1] >= low)
         return Groups(path, footer, np.flatnonzero(meets).tolist())
 

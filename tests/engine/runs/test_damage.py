@@ -143,7 +143,7 @@ def everything(path: Path) -> list[Path]:
 
 SORTS = {
     *("index", "trajectory.parquet", "points", "observed", "lines", "scatter", "voxels"),
-    *("fired", "tiles", "noise", "ground", "classes", "rasters_50000_1000.zarr"),
+    *("fired", "tiles", "denoise", "ground", "surface", "rasters_50000_1000.zarr"),
 }
 """Names in the store that tasks read from."""
 
