@@ -6,11 +6,11 @@ from collections.abc import Iterator
 import shapely
 
 from spl_batch.airborne.plan.space_tasks import aligned
-from spl_batch.airborne.plan.survey_ledger import Survey
+from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_bounds
 from spl_batch.airborne.plan.task_memory import refusal
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.tasks.task import Task
-from spl_batch.lattice.tiles import Bounds, BoxIndex, cells_touching
+from spl_batch.lattice.tiles import Bounds, BoxIndex, cells_touching, shared
 
 
 def client_tiles(survey: Survey) -> Iterator[Task]:
@@ -37,7 +37,8 @@ def client_tiles(survey: Survey) -> Iterator[Task]:
             "aligned": bool(aligned(survey)),
         }
         needs = (*(("deliver_file", key) for key in keys), *of_rasters, *aligned(survey))
-        points = sum(survey.counts.get(t, 0) for t in cells_touching(bounds, survey.tile_q))
+        flown = cells_touching(shared(bounds, mosaic_bounds(survey)), survey.tile_q)
+        points = sum(survey.counts.get(tile, 0) for tile in flown)
         refused = ""
         if settings.format == "copc":
             refused = refusal("deliver_client_tile", points, survey.memory_bytes)

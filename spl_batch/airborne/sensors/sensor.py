@@ -25,6 +25,11 @@ class Sensor(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     name: str = Field("own sensor", description="Name shown in the report.")
+    photons: bool = Field(
+        True,
+        description="Whether single photons are counted; false for linear mode, whose clouds have "
+        "neither such noise nor afterpulses to be filtered.",
+    )
     beamlets: int = Field(100, ge=1, le=255, description="Beamlets per shot [count].")
     array_columns: int = Field(
         10, ge=1, description="Beamlets along one side of the array [count]."

@@ -73,10 +73,16 @@ class Workflow(BaseWorkflow):
     def faults(self) -> Iterator[str]:
         """What is wrong that no single key shows."""
         try:
-            dead_m = self.sensor.dead_m
+            sensor = self.sensor
         except WorkflowError as unknown_preset:
             yield str(unknown_preset)
         else:
+            if self.filtering and not sensor.photons:
+                yield (
+                    f"survey.sensor: {sensor.name} counts no single photons, so true points would "
+                    "be taken for noise; set filter.method: none and afterpulse.enabled: false"
+                )
+            dead_m = sensor.dead_m
             lags = self.afterpulse.enabled and self.afterpulse.method == "beamlet"
             if lags and self.afterpulse.lag_max_m <= dead_m:
                 yield (

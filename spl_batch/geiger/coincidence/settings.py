@@ -3,17 +3,30 @@
 import math
 from collections.abc import Iterator, Mapping
 from types import MappingProxyType
-from typing import Final, Literal, Self
+from typing import Any, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.settings.base import BaseWorkflow, Positive, Section, Share, StoreSettings
 
+ARRAYS: Final[Mapping[str, Mapping[str, float]]] = MappingProxyType(
+    {"intelliearth": {"rows": 32, "columns": 128, "ifov_rad": 35e-6}}
+)
+"""Arrays whose numbers are public. Harris IntelliEarth: array size 32 x 128 and IFOV 35 urad, by M.
+Romano, "Commercial Geiger Mode LiDAR", ASPRS annual conference 2015, table "Harris Geiger-mode
+Specifications" (studylib.net/doc/18334073). Which side flies ahead is not stated there: that is as
+in [M20]. Gates follow from the flight."""
+
 
 class ArraySettings(Section):
     """A Geiger-mode focal-plane array; defaults are the notional sensor of [M20 Table 1]."""
 
+    preset: Literal["intelliearth"] | None = Field(
+        None,
+        description="An array with public numbers for rows, columns and ifov_rad, where these are "
+        "not given: intelliearth, Harris 2015.",
+    )
     rows: int = Field(32, ge=1, le=1024, description="Detectors across the flight [count].")
     columns: int = Field(128, ge=1, le=1024, description="Detectors along the flight [count].")
     ifov_rad: float = Field(
@@ -21,6 +34,13 @@ class ArraySettings(Section):
     )
     gate_start_m: Positive = Field(2500.0, description="Slant range at which detectors arm [m].")
     gate_stop_m: Positive = Field(3500.0, description="Slant range at which they are read [m].")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_preset(cls, given: Any) -> Any:
+        if not isinstance(given, Mapping):
+            return given
+        return {**ARRAYS.get(str(given.get("preset")), {}), **given}
 
     @model_validator(mode="after")
     def _gate_opens_before_it_closes(self) -> Self:

@@ -224,6 +224,31 @@ def test_sensors_by_name_and_by_mapping() -> None:
         load_preset("nothing")
 
 
+def test_a_linear_mode_scanner_is_no_reason_to_filter_photons() -> None:
+    survey = {"flightlines": "a", "sensor": "als50-ii"}
+    assert "Leica ALS50-II counts no single photons" in complaint(merged(survey=survey))
+    off = {"filter": {"method": "none"}, "afterpulse": {"enabled": False}}
+    sensor = parse_workflow(merged(survey=survey, **off), "w").sensor
+    assert (sensor.beamlets, sensor.range_sigma_m, sensor.wavelength_nm) == (1, 0.05, 1064.0)
+    assert 2.69 < sensor.dead_m < 2.7
+
+
+@pytest.mark.parametrize(
+    ("survey", "outputs", "words"),
+    [
+        ({"licence": "free for all"}, {}, "survey.licence"),
+        ({}, {"drop": ["water"]}, "outputs.drop"),
+        ({}, {"contour_interval": 0}, "outputs.contour_interval"),
+        ({}, {"client_tiles": {"name": "id"}}, "outputs.client_tiles.polygons"),
+    ],
+)
+def test_deliveries_that_cannot_be(
+    survey: dict[str, Any], outputs: dict[str, Any], words: str
+) -> None:
+    given = merged(survey={"flightlines": "a", **survey}, outputs=outputs)
+    assert words in complaint(given)
+
+
 def test_faults_between_keys_come_all_at_once_with_the_file() -> None:
     content = merged(
         survey={"flightlines": "a", "sensor": {"dead_time_ns": 8.0}},

@@ -10,8 +10,10 @@ import pyogrio
 import pytest
 import rasterio
 import shapely
+from contourpy import contour_generator
 from scipy.interpolate import RegularGridInterpolator
 
+from spl_batch.airborne.tasks import client_tiles, delivered_points, index
 from tests import surveys
 
 EAST, NORTH = surveys.ORIGIN_M
@@ -24,6 +26,7 @@ TILES = {
             (EAST + 5, NORTH + 30), (EAST + 3, NORTH + 30),
         ]
     ),
+    "c": shapely.box(EAST + 6.1, NORTH - 30, EAST + 6.4, NORTH + 30),
     "far away": shapely.box(EAST + 500, NORTH, EAST + 600, NORTH + 100),
 }  # fmt: skip
 KEYS = ("X", "Y", "Z", "gps_time", "channel", "user_data", "point_source_id", "classification")
@@ -33,15 +36,16 @@ OUTPUTS: dict[str, Any] = {
     "client_tiles": {"polygons": "tiles.gpkg", "name": "tile"},
     "contour_interval": 0.1,
 }
+FEET = "EPSG:2278+6360"
 SURVEY = {"organisation": "Survey <Ltd>", "contact": "maps@example.org", "licence": "CC-BY-4.0"}
 
 
-def write_tiles(path: Path, tiles: dict[str, Any], field: str = "tile") -> Path:
+def write_tiles(
+    path: Path, tiles: dict[str, Any], field: str = "tile", crs: str = surveys.CRS_NAME
+) -> Path:
     shapes = shapely.to_wkb(np.array(list(tiles.values()), object))
     names = [np.array(list(tiles), object)]
-    pyogrio.raw.write(
-        path, shapes, names, [field], driver="GPKG", geometry_type="Polygon", crs=surveys.CRS_NAME
-    )
+    pyogrio.raw.write(path, shapes, names, [field], driver="GPKG", geometry_type="Polygon", crs=crs)
     return path
 
 
@@ -49,7 +53,7 @@ class Runs(NamedTuple):
     plain: Path
     asked: Path
     report: Any
-    other: Path  #: The same with other tiles of work, and octrees.
+    other: Path  #: The same with other tiles of work, short chunks, and octrees.
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +85,11 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
                 las.grade = np.arange(len(las.points)) + 1
                 las.change_scaling(offsets=[EAST, NORTH, 0.0])
             las.write(path)
-        found[name] = surveys.run(workflow)
+        with pytest.MonkeyPatch.context() as patched:
+            for module in (index, delivered_points, client_tiles) * (name == "other"):
+                patched.setattr(module, "CHUNK_POINTS", 500)
+            patched.setattr(client_tiles, "BLOCK", 3 if name == "other" else 1024)
+            found[name] = surveys.run(workflow)
         assert found[name].exit_status == 0, found[name].report.failures
     asked = found["asked"]
     return Runs(found["plain"].output, asked.output, asked.report, found["other"].output)
@@ -124,17 +132,20 @@ def test_every_point_is_delivered_or_counted_as_dropped(runs: Runs) -> None:
 
 def test_a_point_lies_in_one_tile_or_in_none(runs: Runs) -> None:
     folder = runs.asked / "client_tiles"
-    assert sorted(p.name for p in folder.glob("*.laz")) == ["A.laz", "B-2.laz"]
+    assert sorted(p.name for p in folder.glob("*.laz")) == ["A.laz", "B-2.laz", "c.laz"]
     whole = together((runs.asked / "laz").rglob("*.laz"))
     x, y = whole[:, 0] / 1000, whole[:, 1] / 1000
     in_a = x < EAST + 3
     in_b = ~in_a & shapely.contains_xy(TILES["B-2"], x + 1e-5, y)
-    assert min(in_a.sum(), in_b.sum(), (~in_a & ~in_b).sum(), (x == EAST + 3).sum()) > 0
+    in_c = (x >= EAST + 6.1) & (x < EAST + 6.4)
+    in_none = ~(in_a | in_b | in_c)
+    assert min(in_a.sum(), in_b.sum(), in_c.sum(), in_none.sum(), (x == EAST + 3).sum()) > 0
     assert np.array_equal(together([folder / "A.laz"]), whole[in_a])
     assert np.array_equal(together([folder / "B-2.laz"]), whole[in_b])
+    assert np.array_equal(together([folder / "c.laz"]), whole[in_c])
     tiles = {one.name: one.points for one in runs.report.client_tiles}
-    assert tiles == {"A": in_a.sum(), "B-2": in_b.sum(), "far away": 0}
-    assert runs.report.counts.in_no_client_tile == (~in_a & ~in_b).sum()
+    assert tiles == {"A": in_a.sum(), "B-2": in_b.sum(), "c": in_c.sum(), "far away": 0}
+    assert runs.report.counts.in_no_client_tile == in_none.sum()
     cut = laspy.read(folder / "A.laz")
     first, second = (cut.points[cut.point_source_id == k] for k in (1, 2))
     assert not np.any(first["grade"])
@@ -144,7 +155,7 @@ def test_a_point_lies_in_one_tile_or_in_none(runs: Runs) -> None:
 def test_tiles_do_not_depend_on_the_tiles_of_work(runs: Runs) -> None:
     for path in sorted((runs.asked / "client_tiles").glob("*.tif")):
         assert path.read_bytes() == (runs.other / "client_tiles" / path.name).read_bytes()
-    for name in ("A", "B-2"):
+    for name in ("A", "B-2", "c"):
         octree = runs.other / "client_tiles" / f"{name}.copc.laz"
         assert np.array_equal(together([runs.asked / "client_tiles" / f"{name}.laz"]),
                               together([octree]))  # fmt: skip
@@ -194,6 +205,16 @@ def test_contours_lie_at_their_heights(runs: Runs) -> None:
     assert meta["crs"] == surveys.CRS_NAME
     with rasterio.open(runs.asked / "dtm.tif") as source:
         dtm, place = source.read(1, masked=True).filled(np.nan).astype(float), source.transform
+    whole = contour_generator(z=np.ma.masked_invalid(dtm))
+    lengths = {}
+    for output in (runs.asked, runs.other):
+        _, _, found, (of_found,) = pyogrio.raw.read(output / "contours.gpkg")
+        for line, height in zip(shapely.from_wkb(found), of_found, strict=True):
+            key = output, round(height * 10)
+            lengths[key] = lengths.get(key, 0.0) + line.length
+    for (_, tenth), length in lengths.items():
+        expected = sum(shapely.LineString(one).length for one in whole.lines(tenth * 0.1))
+        assert length == pytest.approx(expected, rel=1e-6)
     assert np.allclose(heights / 0.1, np.rint(heights / 0.1))
     assert set(np.rint(heights * 10)) == {200, 201, 202}
     terrain = RegularGridInterpolator(
@@ -228,7 +249,38 @@ def test_a_tile_that_cannot_be_written_fails_alone(tmp_path: Path) -> None:
     assert ["client_tiles/A.laz" in one.reason for one in result.report.failures] == [True], (
         result.report.failures
     )
-    assert [one.name for one in result.report.client_tiles] == ["B-2", "far away"]
+    assert [one.name for one in result.report.client_tiles] == ["B-2", "c", "far away"]
+
+
+@pytest.mark.slow
+def test_a_survey_in_feet_has_the_same_tiles(tmp_path: Path) -> None:
+    unit_m, outputs = 1200 / 3937, []
+    for name, factor in (("metres", 1.0), ("feet", unit_m)):
+        folder = tmp_path / name
+        workflow = surveys.small_survey(folder, outputs={**OUTPUTS, "drop": []})
+        shapes = {k: shapely.transform(v, lambda xy, f=factor: xy / f) for k, v in TILES.items()}
+        crs = surveys.CRS_NAME if name == "metres" else FEET
+        write_tiles(folder / "tiles.gpkg", shapes, crs=crs)
+        if name == "feet":
+            for path in sorted((folder / "lines").iterdir()):
+                surveys.in_feet(path, path, FEET, [unit_m] * 3)
+        outputs.append(surveys.run(workflow).output)
+    for name in ("A", "B-2"):
+        ours, theirs = (laspy.read(out / "client_tiles" / f"{name}.laz") for out in outputs)
+        assert np.allclose(ours.xyz, theirs.xyz * unit_m, rtol=0, atol=1e-6)
+        height = [np.asarray(las["HeightAboveGround"]) for las in (ours, theirs)]
+        assert np.allclose(height[0], height[1] * unit_m, atol=2e-4, equal_nan=True)
+        paths = [out / "client_tiles" / f"{name}_dtm.tif" for out in outputs]
+        with rasterio.open(paths[0]) as a, rasterio.open(paths[1]) as b:
+            known = a.read(1) != a.nodata
+            assert np.array_equal(known, b.read(1) != b.nodata)
+            assert np.allclose(a.read(1)[known], b.read(1)[known] * unit_m, atol=1e-4)
+            assert b.units[0] == "US survey foot"
+        with rasterio.open(outputs[1] / "dtm.tif") as whole, rasterio.open(paths[1]) as cut:
+            window = rasterio.windows.from_bounds(*cut.bounds, whole.transform).round_offsets()
+            same = whole.read(1, window=window.round_lengths())
+            found = cut.read(1)
+            assert np.array_equal(found[known], same[known])
 
 
 @pytest.mark.parametrize(

@@ -89,6 +89,8 @@ def test_neither_cuts_nor_the_order_of_rows_change_the_points(survey: Path) -> N
     # The complete workflow of the examples, with another array, and other tiles and volumes.
     text = (ROOT / "workflows" / "coincidence.yaml").read_text(encoding="utf-8")
     assert unshown(text, CoincidenceWorkflow) == []
+    known = ArraySettings.model_validate({"preset": "intelliearth", "rows": 16})
+    assert (known.rows, known.columns, known.ifov_rad) == (16, 128, 35e-6)
     inputs = {"frames": "f", "detections": "d"}
     bare = parse_any({"kind": "coincidence", "output": "out", "survey": inputs}, "bare")
     different = differing(yaml.safe_load(text), bare.model_dump(mode="json"))

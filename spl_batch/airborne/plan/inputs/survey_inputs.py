@@ -11,6 +11,7 @@ import numpy as np
 import shapely
 from pyproj import CRS
 
+from spl_batch.airborne.plan.inputs.client_areas import TILES_KEY, client_tiles, tiles_file
 from spl_batch.airborne.plan.inputs.file_positions import (
     degrees_as_metres,
     extent,
@@ -58,16 +59,13 @@ from spl_batch.formats.geoid import Geoid, grid_file
 from spl_batch.formats.las.convert import copied_format
 from spl_batch.formats.las.copc import copc_fault
 from spl_batch.formats.las.reader import LasFacts
-from spl_batch.formats.named_areas import NamedArea, read_named_areas
+from spl_batch.formats.named_areas import NamedArea
 from spl_batch.formats.trajectory.records import has_records
 from spl_batch.formats.units import Units
 from spl_batch.formats.vector_files import check_polygons
 
 NO_POINTS = "the file holds no points; name files that hold some, or copy it again"
 """What is wrong with a file where no other has points."""
-
-TILES_KEY = "outputs.client_tiles.polygons"
-"""Key of the file with a client's tiles."""
 
 MAX_POINTS = 2**32 - 1
 """Points that one file may hold [count]."""
@@ -124,7 +122,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         ("aoi", workflow.aoi),
         ("water", workflow.water),
         ("breaklines", workflow.breaklines),
-        (TILES_KEY, _tiles_file(workflow)),
+        (TILES_KEY, tiles_file(workflow)),
         ("reference.checkpoints", workflow.reference.checkpoints if workflow.reference else None),
     ):
         if name is not None and (fault := url_fault(name)):
@@ -148,7 +146,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     apart: list[Finding] = []
     if good:
         apart = _check_shapes(workflow, base, crs, good)
-    areas = _client_tiles(workflow, base, crs, good) if good else ()
+    areas = client_tiles(workflow, base, crs, good) if good else ()
     if workflow.outputs.geoid is not None and good:
         geoid = workflow.outputs.geoid
         Geoid(geoid.grid, base / geoid.grid, crs).crs_above(geoid.crs)
@@ -185,45 +183,8 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         _geoid_checksum(workflow, base),
         _unreadable(trajectory),
         areas,
-        tuple(_checksums(base, {TILES_KEY: _tiles_file(workflow)})),
+        tuple(_checksums(base, {TILES_KEY: tiles_file(workflow)})),
     )
-
-
-def _tiles_file(workflow: Workflow) -> str | None:
-    tiles = workflow.outputs.client_tiles
-    return None if tiles is None else tiles.polygons
-
-
-def _client_tiles(
-    workflow: Workflow, base: Path, crs: CRS | None, files: Sequence[LasFacts]
-) -> tuple[NamedArea, ...]:
-    """Tiles that a client names; refused where none can have points, or clouds cannot be cut."""
-    tiles = workflow.outputs.client_tiles
-    if tiles is None:
-        return ()
-    path = base / tiles.polygons
-    for facts in files:
-        scales = facts.scales if tiles.format == "copc" else (1.0, 1.0, 1.0)
-        if copc_fault(copied_format(facts.point_format), scales) is not None:
-            raise WorkflowError(
-                f"outputs.client_tiles: {name_below(facts.path, base)}: tiles are cut out of point "
-                "formats without waveforms, and octrees have one scale; leave the key out, or "
-                "write the file in another point format"
-            )
-    try:
-        with as_input_fault(path):
-            areas = read_named_areas(path, crs, tiles.name)
-    except InputError as fault:
-        raise WorkflowError(f"{TILES_KEY}: {fault}") from None
-    boxes = shapely.box(*np.transpose([[*f.mins_m[:2], *f.maxs_m[:2]] for f in files]))
-    shapes = np.array([one.shape for one in areas])
-    if not shapely.STRtree(boxes).query(shapes, "intersects").size:
-        drawn, flown = (extent(shapely.get_coordinates(some)) for some in (shapes, boxes))
-        raise WorkflowError(
-            f"{TILES_KEY}: {path}: none of its polygons meets the survey: they lie within {drawn}, "
-            f"its points within {flown}; check its CRS and the order of its axes"
-        )
-    return tuple(areas)
 
 
 def _check_shapes(

@@ -1,0 +1,62 @@
+"""Tiles that a client names by polygons: read once, before anything starts."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import shapely
+from pyproj import CRS
+
+from spl_batch.airborne.plan.inputs.file_positions import extent
+from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.engine.plan.input_files import name_below
+from spl_batch.errors import InputError, WorkflowError, as_input_fault
+from spl_batch.formats.las.convert import copied_format
+from spl_batch.formats.las.copc import copc_fault
+from spl_batch.formats.las.reader import LasFacts
+from spl_batch.formats.named_areas import NamedArea, read_named_areas
+
+TILES_KEY: Final = "outputs.client_tiles.polygons"
+"""Key of the file with a client's tiles."""
+
+
+def tiles_file(workflow: Workflow) -> str | None:
+    """Name of the file with a client's tiles, if there is one."""
+    tiles = workflow.outputs.client_tiles
+    return None if tiles is None else tiles.polygons
+
+
+def client_tiles(
+    workflow: Workflow, base: Path, crs: CRS | None, files: Sequence[LasFacts]
+) -> tuple[NamedArea, ...]:
+    """Tiles that a client names; refused where none can have points, or clouds cannot be cut."""
+    tiles = workflow.outputs.client_tiles
+    if tiles is None:
+        return ()
+    path = base / tiles.polygons
+    for facts in files:
+        scales = facts.scales if tiles.format == "copc" else (1.0, 1.0, 1.0)
+        if copc_fault(copied_format(facts.point_format), scales) is not None:
+            raise WorkflowError(
+                f"outputs.client_tiles: {name_below(facts.path, base)}: point format "
+                f"{facts.point_format} with scales {', '.join(f'{s:g}' for s in facts.scales)} "
+                f"cannot be cut into {tiles.format}: that takes formats without waveforms, and "
+                "octrees one scale; leave the key out, or write the file otherwise"
+            )
+    try:
+        with as_input_fault(path):
+            areas = read_named_areas(path, crs, tiles.name)
+    except InputError as fault:
+        raise WorkflowError(f"{TILES_KEY}: {fault}") from None
+    boxes = shapely.box(
+        *np.transpose([[*f.mins_m[:2], *f.maxs_m[:2]] for f in files if f.n_points])
+    )
+    shapes = np.array([one.shape for one in areas])
+    if not shapely.STRtree(boxes).query(shapes, "intersects").size:
+        drawn, flown = (extent(shapely.get_coordinates(some)) for some in (shapes, boxes))
+        raise WorkflowError(
+            f"{TILES_KEY}: {path}: none of its polygons meets the survey: they lie within {drawn}, "
+            f"its points within {flown}; check its CRS and the order of its axes"
+        )
+    return tuple(areas)
