@@ -23,7 +23,7 @@ SLIVER_M: Final = 0.001
 """Half the width of an overlap that rounding explains; it belongs to the first area [m]."""
 
 NUDGE_Q: Final = (0.25, 0.125)
-"""By so much a place is moved east and north before it is looked up, off all edges [quanta]."""
+"""By so much a point is moved east and north before it is looked up, off all edges [quanta]."""
 
 _FILE_NAME: Final = re.compile(r"(?!.*\.$)\w[\w .+()-]{0,99}(?<! )")
 """Names that every file system takes."""
@@ -112,7 +112,7 @@ def _apart(path: Path, areas: Sequence[NamedArea]) -> list[NamedArea]:
 def lies_in(
     shape: shapely.Geometry, x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Which places an area owns: (n,) bool.
+    """Which points an area owns: (n,) bool.
 
     Parameters
     ----------

@@ -1,15 +1,17 @@
-"""Tasks of what a client asks for beside a survey's own files: tiles by polygons, contours."""
+"""Tasks of what a client asks for beside a survey's own files: tiles, contours, another CRS."""
 
 import math
 from collections.abc import Iterator
 
 import shapely
 
-from spl_batch.airborne.plan.space_tasks import aligned
+from spl_batch.airborne.plan.space_tasks import aligned, knows_reflectance
 from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_bounds
 from spl_batch.airborne.plan.task_memory import refusal
+from spl_batch.airborne.products.product_table import HEIGHTS, products
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.tasks.task import Task
+from spl_batch.formats.reprojection import Reprojection
 from spl_batch.lattice.tiles import Bounds, BoxIndex, cells_touching, shared
 
 
@@ -50,3 +52,30 @@ def contours(survey: Survey) -> Iterator[Task]:
     interval = survey.workflow.outputs.contour_interval
     if interval is not None and "dtm" in survey.of("mosaic"):
         yield Task("deliver_contours", "all", {"interval": interval}, (("mosaic", "dtm"),))
+
+
+def reprojected_files(survey: Survey) -> Iterator[Task]:
+    """Delivered clouds in another CRS, unless that is the survey's."""
+    named = survey.workflow.outputs.crs
+    if named is None or not Reprojection(survey.inputs.crs, named).moves_points:
+        return
+    for key, receipt in sorted(survey.of("deliver_file").items()):
+        name = receipt.facts["name"]
+        args = {"source": f"laz/{name}", "target": f"reprojected/laz/{name}"}
+        yield Task("reproject_file", key, args, (("deliver_file", key),), receipt.points)
+
+
+def reprojected_rasters(survey: Survey) -> Iterator[Task]:
+    """Delivered rasters in another CRS."""
+    if survey.workflow.outputs.crs is None:
+        return
+    for made in products(reflectance=knows_reflectance(survey)):
+        if made.delivered and made.name in survey.of("mosaic"):
+            args = {
+                "source": f"{made.name}.tif",
+                "target": f"reprojected/{made.name}.tif",
+                "above_datum": made.name in HEIGHTS,
+                "meaning": made.meaning,
+                "unit": made.unit,
+            }
+            yield Task("reproject_raster", made.name, args, (("mosaic", made.name),))

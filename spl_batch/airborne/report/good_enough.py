@@ -42,6 +42,7 @@ from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.run_record import Receipts
 from spl_batch.formats.crs import vertical
 from spl_batch.formats.gps_clock import time_standard
+from spl_batch.formats.units import Units
 
 VEGETATION_PER_M2: Final = 1.0
 """Below this density shrubs become ground (``docs/delivery.md``) [1/m2]."""
@@ -79,7 +80,7 @@ def judged(done: Receipts, context: Context) -> tuple[Requirement, ...]:
         has_crs=crs is not None,
         vertical_datum=None if datum is None else datum.name,
         time_standard=_time_standard(flown),
-        units=context.units,
+        units=Units.of(crs),
     )
     return requirements(known)
 

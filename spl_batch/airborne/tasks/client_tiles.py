@@ -1,4 +1,4 @@
-"""What a client's polygons cut out of clouds and rasters, and contours of the terrain."""
+"""What a client asks for: tiles by polygons, contours, clouds and rasters in another CRS."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -19,12 +19,14 @@ from spl_batch.airborne.tasks.index import BOXES, CHUNK_POINTS
 from spl_batch.constants import NODATA, QUANTA_PER_M
 from spl_batch.engine.store.working_store import read_receipt
 from spl_batch.engine.tasks.context import Produced
+from spl_batch.errors import WorkflowError
 from spl_batch.formats.files.atomic import replacing, scratch_folder
 from spl_batch.formats.las.copc import copy_as_copc
 from spl_batch.formats.las.cut import Piece, write_cut
 from spl_batch.formats.named_areas import lies_in
 from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.formats.rasters.parts import opened, place_m
+from spl_batch.formats.reprojection import KEY, Reprojection
 from spl_batch.formats.units import metres_in
 from spl_batch.formats.verified.parquet_npz import read_arrays
 
@@ -172,3 +174,32 @@ def deliver_contours(args: Mapping[str, Any], context: Context) -> Produced:
     )
     path = write_layers(context.output / CONTOURS, [layer], crs.to_wkt() if crs else None)
     return Produced([path], {"name": CONTOURS, "lines": len(single)})
+
+
+def _reprojection(context: Context) -> Reprojection:
+    named = context.workflow.outputs.crs
+    if named is None:  # a plan makes no such task
+        raise WorkflowError(f"{KEY}: none is named")
+    return Reprojection(context.crs, named)
+
+
+def reproject_file(args: Mapping[str, Any], context: Context) -> Produced:
+    """Write a delivered cloud there, every point once and in order."""
+    target = context.output / args["target"]
+    written = _reprojection(context).cloud(context.output / args["source"], target)
+    return Produced([target], {"points": written}, written)
+
+
+def reproject_raster(args: Mapping[str, Any], context: Context) -> Produced:
+    """Write a delivered raster there."""
+    outputs, moved = context.workflow.outputs, _reprojection(context)
+    target = context.output / args["target"]
+    moved.raster(
+        context.output / args["source"],
+        target,
+        cell=outputs.cell or moved.in_units(context.workflow.products.cell_m),
+        above_datum=args["above_datum"],
+        meaning=args["meaning"],
+        unit=args["unit"],
+    )
+    return Produced([target], {"name": target.name})

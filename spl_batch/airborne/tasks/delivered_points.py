@@ -61,9 +61,9 @@ class Terrain:
         for row, col, block in stored_blocks(rasters, "dtm", bounds, cells, ground_cell=self._edge):
             heights[row : row + block.shape[0], col : col + block.shape[1]] = block
         terrain = Raster(heights, west * QUANTUM_M, bounds.ymax * QUANTUM_M, pixel * QUANTUM_M)
-        place = np.column_stack([table["x"], table["y"]]) * QUANTUM_M
-        surface = terrain.bilinear(place)
-        surface = np.where(np.isnan(surface), terrain.at(place), surface)
+        xy_m = np.column_stack([table["x"], table["y"]]) * QUANTUM_M
+        surface = terrain.bilinear(xy_m)
+        surface = np.where(np.isnan(surface), terrain.at(xy_m), surface)
         above = (table["z"] * QUANTUM_M - surface) / self._context.units.vertical_m
         found: NDArray[np.float32] = above.astype(np.float32)
         return found

@@ -29,7 +29,7 @@ from spl_batch.formats.las.records import ExtraDimension, RecordLayout, record_l
 from spl_batch.formats.units import METRES, Units
 
 Within = Callable[[NDArray[np.int64], NDArray[np.int64]], NDArray[np.bool_]]
-"""Which places, (n,) each [quanta], lie in the area."""
+"""Which points, by their eastings and northings [quanta], lie in the area: (n,) bool."""
 
 _BOUNDS_BITS: Final = 0b110
 """Options of an extra dimension: its least and largest value are given [LAS 1.4 R15, table 24]."""

@@ -11,9 +11,11 @@ import pytest
 import rasterio
 import shapely
 from contourpy import contour_generator
+from pyproj import CRS
 from scipy.interpolate import RegularGridInterpolator
 
 from spl_batch.airborne.tasks import client_tiles, delivered_points, index
+from spl_batch.formats.named_areas import lies_in, read_named_areas
 from tests import surveys
 
 EAST, NORTH = surveys.ORIGIN_M
@@ -283,8 +285,19 @@ def test_a_survey_in_feet_has_the_same_tiles(tmp_path: Path) -> None:
             assert np.array_equal(found[known], same[known])
 
 
+def test_what_two_polygons_share_by_rounding_is_the_first_ones(tmp_path: Path) -> None:
+    shapes = {"a": shapely.box(0, 0, 10, 10), "b": shapely.box(9.9985, 0, 20, 10)}
+    path = write_tiles(tmp_path / "tiles.gpkg", shapes)
+    areas = read_named_areas(path, CRS.from_user_input(surveys.CRS_NAME), "tile")
+    x, y = np.array([0, 9_997, 9_998, 9_999, 10_000, 20_000]), np.full(6, 5_000)
+    assert [lies_in(one.shape, x, y).tolist() for one in areas] == [
+        [True, True, True, True, False, False],
+        [False, False, False, False, True, False],
+    ]
+
+
 @pytest.mark.parametrize(
-    ("tiles", "outputs", "told"),
+    ("tiles", "outputs", "words"),
     [
         ({"A": TILES["A"], "C": TILES["A"].buffer(-1)}, {}, ("polygons overlap: A and C",)),
         ({"A": TILES["A"], "../b": TILES["B-2"]}, {}, ("'../b'", "names of files")),
@@ -294,11 +307,11 @@ def test_a_survey_in_feet_has_the_same_tiles(tmp_path: Path) -> None:
     ],
 )
 def test_tiles_that_cannot_be(
-    tmp_path: Path, tiles: dict[str, Any], outputs: dict[str, Any], told: tuple[str, ...]
+    tmp_path: Path, tiles: dict[str, Any], outputs: dict[str, Any], words: tuple[str, ...]
 ) -> None:
     write_tiles(tmp_path / "tiles.gpkg", tiles)
     asked = {"client_tiles": {**OUTPUTS["client_tiles"], **outputs}}
     ended = surveys.command("plan", surveys.small_survey(tmp_path, outputs=asked))
     assert ended.status == 2
     assert len(ended.err.strip().splitlines()) == 1
-    assert all(text in ended.err for text in ("tiles.gpkg", *told)), ended.err
+    assert all(text in ended.err for text in ("tiles.gpkg", *words)), ended.err

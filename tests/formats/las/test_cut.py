@@ -76,17 +76,19 @@ def test_alike_clouds_keep_their_raw_coordinates_and_ranges_count(tmp_path: Path
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "words"),
     [
         ({"extra": {"grade": np.array([1.0])}}, "'grade' is of another type"),
         ({"adjusted": False}, "gps_time"),
         ({"offset": 1e8, "scale": 0.001}, "too far from the offset"),
     ],
 )
-def test_clouds_that_do_not_go_together(tmp_path: Path, options: dict[str, Any], told: str) -> None:
+def test_clouds_that_do_not_go_together(
+    tmp_path: Path, options: dict[str, Any], words: str
+) -> None:
     a = write(tmp_path / "a.laz", [1.0], extra={"grade": np.array([1], np.uint8)})
     b = write(tmp_path / "b.laz", [options.get("offset", 1.0)], **options)
-    with pytest.raises(InputError, match=told) as fault:
+    with pytest.raises(InputError, match=words) as fault:
         write_cut(tmp_path / "cut.laz", whole(a, b), everywhere)
     assert "b.laz" in str(fault.value)
     assert not (tmp_path / "cut.laz").exists()
