@@ -119,6 +119,7 @@ def _believed(beamlets: NDArray[np.float32], covered: NDArray[np.float32]) -> ND
     area: NDArray[np.float32] = np.maximum(blurred(covered, BLUR), np.float32(1.0))
     around: NDArray[np.float32] = covered * blurred(beamlets, BLUR) / area
     ridge = around - blurred(around, BLUR) / area
+    # By the counts around: by its own, larger counts were believed more, and all were too many.
     own = around / (around + np.float32(PRIOR))
     number = around + own * (beamlets - around + np.float32(RIDGE) * ridge)
     return np.maximum(number, np.float32(0.0))
