@@ -69,7 +69,7 @@ def parents_of(
 
 
 @njit(fastmath={"reassoc"})
-def _moments(offsets: NDArray[np.float64], size: np.int64, sums: NDArray[np.float64]) -> None:
+def _moments(offsets: NDArray[np.float64], size: int, sums: NDArray[np.float64]) -> None:
     """Sums of 1, u, v, w, uu, uv, vv, uw and vw of offsets: whole numbers, in any order."""
     u1 = v1 = w1 = 0.0
     uu = uv = vv = uw = vw = 0.0
@@ -89,7 +89,7 @@ def _moments(offsets: NDArray[np.float64], size: np.int64, sums: NDArray[np.floa
 
 @njit()
 def _on_planes(
-    offsets: NDArray[np.float64], size: np.int64, plane: NDArray[np.float64], level: float,
+    offsets: NDArray[np.float64], size: int, plane: NDArray[np.float64], level: float,
     thick: float,
 ) -> tuple[np.int64, np.int64]:  # fmt: skip
     """How many lie within ``thick`` of a plane, and how many only of one ``level`` away."""

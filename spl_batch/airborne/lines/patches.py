@@ -94,7 +94,8 @@ def find_patches(
     edge = quanta(EDGE_M)
     columns, rows = (whole.xmax - whole.xmin) // edge, (whole.ymax - whole.ymin) // edge
     none = np.zeros((0, 0), np.bool_)
-    _, fitted = _fitted(*np.zeros((2, 0, 0, 10), np.int64), EDGE_M)
+    unseen = np.zeros((0, 0, 10), np.int64)
+    _, fitted = _fitted(unseen, unseen, EDGE_M)
     found = [_rows(fitted, none, (0, 0), whole, EDGE_M)]
     if count < 2 or not rows or not columns:
         return found[0], set()
