@@ -115,9 +115,9 @@ def assess(
         lit, rows = lit.take(order), rows[order]
         added["channel"] = table["channel"].copy()
         added["channel"][rows] = known["channel"]
-    added["afterpulse"][rows] = candidates.probability(
+    added["afterpulse"][rows], rate = candidates.assess(
         known, lit, settings.afterpulse, sensor, gate_m=model.gate_m, law=law
     )
-    added["afterpulse_rate"][rows] = afterpulse_law.rate(known, lit, law) * np.float32(of_shot)
+    added["afterpulse_rate"][rows] = rate * np.float32(of_shot)
     added["afterpulse_share"][rows], added["range_sigma"][rows] = law.probability, law.sigma_m
     return assessed._replace(table=table.with_columns(**added))

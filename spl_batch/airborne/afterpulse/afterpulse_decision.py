@@ -44,7 +44,6 @@ from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
 from spl_batch.lattice.tiles import quanta
 from spl_batch.numerics.neighbours.lattice_columns import columns
 
-DOMAIN: Final = "space"
 COLUMNS_NEEDED: Final = (
     "x", "y", "z", "gps_time", "channel", "flags", "line_density", "afterpulse", "afterpulse_rate",
     "afterpulse_share", "range_sigma",

@@ -31,15 +31,11 @@ from spl_batch.airborne.afterpulse.lag_counts import (
     Counts,
     no_counts,
     ranging_spread,
-    rate_behind,
 )
-from spl_batch.airborne.beams.shot_runs import run_starts
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.constants import QUANTUM_M
-from spl_batch.lattice.tables import BeamTable, PointTable, rows_of
+from spl_batch.lattice.tables import PointTable
 from spl_batch.numerics.simd import LANES
-
-DOMAIN: Final = "time"
 
 PRIOR: Final = 100.0
 """Afterpulses that the sensor's own figures are worth [count]."""
@@ -311,34 +307,3 @@ def _tabled(
     probability = float(share.sum())
     density *= probability / max(float(np.trapezoid(density, nodes)), 1e-12)
     return law._replace(probability=probability, longest_m=longest_m, density=density)
-
-
-def rate(table: PointTable, beams: BeamTable, law: AfterpulseLaw) -> NDArray[np.float32]:
-    """Afterpulses per metre of beamlet expected at each return.
-
-    Parameters
-    ----------
-    table : PointTable
-        Rows of one stretch, sorted by (gps_time, channel, ...).
-    beams : BeamTable
-        Their beams; rows without a known beam get 0.
-
-    Returns
-    -------
-    (n,) float32
-        [1/m]; 0 where no return of the beamlet is in front, or channels are not known.
-    """
-    out = np.zeros(len(table), dtype=np.float32)
-    if not beams.known.any():
-        return out
-    rows = rows_of(beams.known)
-    time, channel = table["gps_time"][rows], table["channel"][rows]
-    found = np.empty(len(time), dtype=np.float32)
-    rate_behind(
-        run_starts(time, channel), beams.range_m[rows], law.least_m, law.longest_m, law.dead_m,
-        law.density, found,
-    )  # fmt: skip
-    shots = run_starts(time)
-    found[~np.repeat(several(channel, shots), np.diff(shots))] = 0.0
-    out[rows] = found
-    return out

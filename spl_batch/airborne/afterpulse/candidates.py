@@ -30,6 +30,7 @@ from spl_batch.airborne.afterpulse.lag_counts import (
     LAG_EDGES_M,
     no_counts,
     observe_lags,
+    rate_behind,
 )
 from spl_batch.airborne.afterpulse.shot_evidence import shot_probabilities
 from spl_batch.airborne.beams.shot_runs import lag_behind, run_starts
@@ -38,11 +39,6 @@ from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings import AfterpulseSettings
 from spl_batch.lattice.tables import BeamTable, PointTable, rows_of
 from spl_batch.numerics.simd import LANES
-
-DOMAIN: Final = "time"
-COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel")
-COLUMNS_ADDED: Final = ("afterpulse",)
-
 
 EVERY: Final = 4
 """One shot in so many tells the law, by shot number: no cut matters."""
@@ -61,7 +57,7 @@ APART: Final = (2.5, 3.3)
 where a surface gives beamlets two returns [spreads]."""
 
 
-def probability(
+def assess(
     table: PointTable,
     beams: BeamTable,
     settings: AfterpulseSettings,
@@ -69,8 +65,8 @@ def probability(
     *,
     gate_m: float | None = None,
     law: AfterpulseLaw | None = None,
-) -> NDArray[np.float32]:
-    """Probability that each return is an afterpulse.
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Probability that each return is an afterpulse, and afterpulses that are expected there.
 
     Parameters
     ----------
@@ -85,29 +81,31 @@ def probability(
 
     Returns
     -------
-    (n,) float32
-        Probabilities; at 0.5 and above the return is called an afterpulse.
+    probability, rate : (n,) float32
+        At a probability of 0.5 and above the return is called an afterpulse. Afterpulses per metre
+        of beamlet [1/m]; 0 where no return of the beamlet is in front, or channels are not known.
     """
-    out = np.zeros(len(table), dtype=np.float32)
+    probability, rate = np.zeros((2, len(table)), dtype=np.float32)
     if not settings.enabled or not beams.known.any():
-        return out
+        return probability, rate
     rows = rows_of(beams.known)
     table = table.take(rows)
     time, channel, range_m = table["gps_time"], table["channel"], beams.range_m[rows]
-    shots = run_starts(time)
+    shots, beamlets = run_starts(time), run_starts(time, channel)
     law = law or sensor_law(sensor)
-    lag, found = np.empty((2, len(table)), dtype=np.float32)
+    lag, found, due = np.empty((3, len(table)), dtype=np.float32)
+    known = several(channel, shots)
     rules = hard_rules(settings, sensor, law, gate_m)
     u, v = across_beams(table, shots, beams.direction[rows])
     w = np.concatenate([range_m, np.zeros(LANES)])
     if settings.method == "published":
         below_planes(shots, u, v, w, rules._replace(below_m=settings.below_plane_m), found)
     else:
-        lag_behind(run_starts(time, channel), range_m, law.least_m, rules.chain_m, lag)
-        known = several(channel, shots)
+        lag_behind(beamlets, range_m, law.least_m, rules.chain_m, lag)
         shot_probabilities(shots, u, v, w, channel, lag, known, rules, found)
-    out[rows] = found
-    return out
+    rate_behind(beamlets, range_m, law.least_m, law.longest_m, law.dead_m, law.density, due)
+    probability[rows], rate[rows] = found, due * np.repeat(known, np.diff(shots))
+    return probability, rate
 
 
 def observe(table: PointTable, beams: BeamTable, sensor: Sensor) -> dict[str, NDArray[np.int64]]:

@@ -30,8 +30,6 @@ from numpy.typing import NDArray
 from spl_batch.airborne.afterpulse.weighted_counts import MASS, UNIT
 from spl_batch.lattice.tiles import cell_index, quanta
 
-DOMAIN: Final = "space"
-
 KERNELS_M: Final = ((1.5, 1.5), (1.5, 0.2), (0.7, 0.7), (0.5, 0.5))
 """Horizontal and vertical radii of the kernels: wide as crowns, thin, and small as clumps [m]."""
 

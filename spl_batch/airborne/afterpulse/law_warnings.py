@@ -86,24 +86,15 @@ def uneven(
 
 def disagreements(law: AfterpulseLaw, sensor: Sensor) -> tuple[Finding, ...]:
     """What to tell of a flightline's law and ranging spread."""
-    return (*_late(law, sensor), *_spread(law, sensor))
-
-
-def _late(law: AfterpulseLaw, sensor: Sensor) -> tuple[Finding, ...]:
-    stated, late = sensor.afterpulse_lag_max_m, law.later_than(sensor.afterpulse_lag_max_m)
-    if law.longest_m <= stated or late < LATE_MIN:
-        return ()
-    values = {
-        "kind": "late", "share": float(late), "stated_m": stated,
-        "longest_m": float(law.longest_m),
-    }  # fmt: skip
-    return (Finding("A01", values, badness=float(late)),)
-
-
-def _spread(law: AfterpulseLaw, sensor: Sensor) -> tuple[Finding, ...]:
-    stated = sensor.range_sigma_m
-    if law.sigma_m <= stated:
-        return ()
-    sigma_m = float(law.sigma_m)
-    values = {"kind": "spread", "sigma_m": sigma_m, "stated_m": stated}
-    return (Finding("A01", values, badness=sigma_m),)
+    stated_m, late = sensor.afterpulse_lag_max_m, law.later_than(sensor.afterpulse_lag_max_m)
+    found = []
+    if law.longest_m > stated_m and late >= LATE_MIN:
+        values = {
+            "kind": "late", "share": late, "stated_m": stated_m, "longest_m": float(law.longest_m),
+        }  # fmt: skip
+        found.append(Finding("A01", values, badness=late))
+    sigma_m, stated_m = float(law.sigma_m), sensor.range_sigma_m
+    if sigma_m > stated_m:
+        values = {"kind": "spread", "sigma_m": sigma_m, "stated_m": stated_m}
+        found.append(Finding("A01", values, badness=sigma_m))
+    return tuple(found)

@@ -7,7 +7,7 @@ an upright cylinder around it. Sums are of whole numbers, so their order does no
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.afterpulse.weighted_counts import most_around, spare_rows
+from spl_batch.airborne.afterpulse.weighted_counts import most_around
 from spl_batch.airborne.beams.dependent_returns import families
 from spl_batch.airborne.beams.shot_runs import run_starts
 from spl_batch.lattice.row_order import lexicographic_order
@@ -16,44 +16,31 @@ from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.kdtree import U0, U1, U2
 from spl_batch.numerics.neighbours.lattice_columns import Columns, first_above
 from spl_batch.numerics.planes.robust_plane import plane_of_moments
-from spl_batch.numerics.simd import LANES, UL, ascending, load, number, pack, spread
 
 
 @njit()
 def _near(
-    xyz: NDArray[np.int32], counts: NDArray[np.bool_], starts: NDArray[np.int64],
-    shape: tuple[int, int], edge: int, row: int, wide: int, span: int,
+    made: Columns, counts: NDArray[np.bool_], row: int, wide: int, span: int,
     offsets: NDArray[np.float64],
-) -> np.int64:  # fmt: skip
+) -> int:  # fmt: skip
     """List what counts in an upright cylinder around a point: how many they are.
 
-    ``offsets`` (3, m) is filled with their offsets, and beyond them. They are at most ``span``
-    up or down, and ``wide`` <= ``edge`` aside.
+    ``offsets`` (3, m) is filled with their offsets, at most ``wide`` aside and ``span`` up or down.
     """
-    nx, ny = shape
+    xyz, (nx, ny), edge = made.points, made.shape, made.edge
     x, y, z = xyz[U0, row], xyz[U1, row], xyz[U2, row]
-    last, size = np.uint64(xyz.shape[1]) - UL, U0
-    most, high = spread(np.float64(wide * wide)), spread(np.float64(span))
+    size = 0
     for i in range(max((x - wide) // edge, 0), min((x + wide) // edge + 1, nx)):
         for j in range(max((y - wide) // edge, 0), min((y + wide) // edge + 1, ny)):
-            low, stop = starts[i * ny + j], starts[i * ny + j + 1]
-            begin, end = np.uint64(first_above(xyz, low, stop, z - span)), np.uint64(stop)
-            for p in range(begin, end, UL):
+            low, stop = made.start[i * ny + j], made.start[i * ny + j + 1]
+            for p in range(first_above(xyz, low, stop, z - span), stop):
                 if xyz[U2, p] > z + span:
                     break
-                # The last eight of the table, where fewer are left of it.
-                at = min(p, last)
-                rows = ascending(at)
-                dx = load(xyz, (U0, at)) - spread(np.float64(x))
-                dy = load(xyz, (U1, at)) - spread(np.float64(y))
-                dz = load(xyz, (U2, at)) - spread(np.float64(z))
-                taken = load(counts, at) & (rows >= spread(p)) & (rows < spread(end))
-                taken = taken & (dx * dx + dy * dy <= most) & (dz <= high)
-                pack(offsets, (U0, size), dx, taken)
-                pack(offsets, (U1, size), dy, taken)
-                pack(offsets, (U2, size), dz, taken)
-                size += number(taken)
-    return np.int64(size)
+                dx, dy = np.float64(xyz[U0, p] - x), np.float64(xyz[U1, p] - y)
+                if counts[p] and dx * dx + dy * dy <= wide * wide:
+                    offsets[0, size], offsets[1, size], offsets[2, size] = dx, dy, xyz[U2, p] - z
+                    size += 1
+    return size
 
 
 def parents_of(
@@ -82,7 +69,7 @@ def parents_of(
 
 
 @njit(fastmath={"reassoc"})
-def _moments(offsets: NDArray[np.float64], size: np.int64, sums: NDArray[np.float64]) -> None:
+def _moments(offsets: NDArray[np.float64], size: int, sums: NDArray[np.float64]) -> None:
     """Sums of 1, u, v, w, uu, uv, vv, uw and vw of offsets: whole numbers, in any order."""
     u1 = v1 = w1 = 0.0
     uu = uv = vv = uw = vw = 0.0
@@ -102,7 +89,7 @@ def _moments(offsets: NDArray[np.float64], size: np.int64, sums: NDArray[np.floa
 
 @njit()
 def _on_planes(
-    offsets: NDArray[np.float64], size: np.int64, plane: NDArray[np.float64], level: float,
+    offsets: NDArray[np.float64], size: int, plane: NDArray[np.float64], level: float,
     thick: float,
 ) -> tuple[np.int64, np.int64]:  # fmt: skip
     """How many lie within ``thick`` of a plane, and how many only of one ``level`` away."""
@@ -140,19 +127,16 @@ def behind_plane(
     returns at most one in twenty lies at its depth. ``tilt`` (m, 2): the plane's slopes, whatever
     lies there, 0 where there is no plane.
     """
-    xyz, starts, shape, edge = made.points, made.start, made.shape, made.edge
+    xyz = made.points
     wide, high, thick = cylinder
     sums, plane = np.empty(9), np.zeros(3)
-    offsets = np.empty((3, most_around(starts, shape) + LANES))
-    spare = spare_rows(xyz.shape[1])
-    if len(spare):
-        xyz, true = xyz[:, spare], true[spare]
+    offsets = np.empty((3, most_around(made.start, made.shape)))
     for q in range(len(rows)):
         row, parent = rows[q], parents[q]
         out[q], tilt[q, 0], tilt[q, 1] = False, 0.0, 0.0
         if parent < 0:
             continue
-        size = _near(xyz, true, starts, shape, edge, parent, wide, high, offsets)
+        size = _near(made, true, parent, wide, high, offsets)
         if size < least:
             continue
         _moments(offsets, size, sums)

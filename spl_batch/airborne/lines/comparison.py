@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.lines.alignment import ALONE, MOST_M, TOO_FAR, AlignedLine, align_lines
@@ -179,11 +180,8 @@ def _map(cells: Sequence[Patches]) -> dict[str, NDArray[Any]]:
     west, south = int(i.min()), int(j.min())
     shape = int(np.ptp(j)) + 1, int(np.ptp(i)) + 1
     cell = (j - south) * shape[1] + i - west
-    order = np.lexsort((np.abs(rise), cell))
-    first = np.flatnonzero(np.diff(cell[order], prepend=-1))
-    middle = first + np.diff(first, append=len(cell)) // 2
-    values = np.full(shape[0] * shape[1], NODATA, np.float32)
-    values[cell[order[first]]] = np.abs(rise)[order[middle]]
+    values, filled = np.full(shape[0] * shape[1], NODATA, np.float32), np.unique(cell)
+    values[filled] = ndimage.median(np.abs(rise), cell, filled)
     place = np.array([west, south + shape[0], 1]) * edge
     return {"values": np.ascontiguousarray(values.reshape(shape)[::-1]), "place_m": place}
 

@@ -10,6 +10,7 @@ discrepancies in airborne laserscanner data*, PE&RS 68(9), 933-940): heights, wh
 horizontal part. He takes points of a triangulation; whole patches have a known noise.
 """
 
+import math
 from itertools import combinations
 from typing import Any, Final, NamedTuple
 
@@ -19,7 +20,6 @@ from numpy.typing import NDArray
 from spl_batch.constants import QUANTA_PER_M, QUANTUM_M
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, quanta
-from spl_batch.numerics.compiled import njit
 
 COLUMNS_NEEDED: Final = ("x", "y", "z", "line")
 """Columns of the points that patches are made of."""
@@ -91,19 +91,19 @@ def find_patches(
     returns of :func:`region`; squares that begin in ``core`` are the cell's [quanta].
     """
     whole, count = region(core), len(seen.numbers)
-    edge, joined = quanta(EDGE_M), 2 ** (LEVELS - 1)
+    edge = quanta(EDGE_M)
     columns, rows = (whole.xmax - whole.xmin) // edge, (whole.ymax - whole.ymin) // edge
+    none = np.zeros((0, 0), np.bool_)
+    unseen = np.zeros((0, 0, 10), np.int64)
+    _, fitted = _fitted(unseen, unseen, EDGE_M)
+    found = [_rows(fitted, none, (0, 0), whole, EDGE_M)]
     if count < 2 or not rows or not columns:
-        return _joined([]), set()
-    place = np.full(int(table["line"].max()) + 1, -1, np.int16)
+        return found[0], set()
+    place = np.full(int(table["line"].max()) + 1, -1, np.int64)
     place[seen.numbers] = np.arange(count)
-    corner = np.array([whole.xmin, whole.ymin, table["z"].min()], np.int64)
-    moments = np.zeros((count, rows, columns, 10), np.int64)
-    line = place[table["line"]]
-    mine = line >= 0
-    x, y, z = (np.ascontiguousarray(table[axis][mine], np.int64) for axis in "xyz")
-    add_moments(x, y, z, line[mine], corner, edge, joined, moments)
-    found: list[Patches] = []
+    corner = (whole.xmin, whole.ymin, int(table["z"].min()))
+    x, y, z = (table[axis].astype(np.int64) - low for axis, low in zip("xyz", corner, strict=True))
+    moments = moments_of((x, y, z), place[table["line"]], (count, rows, columns))
     free = {pair: np.ones((rows, columns), np.bool_) for pair in combinations(range(count), 2)}
     for level in range(LEVELS):
         size = EDGE_M * 2**level
@@ -116,7 +116,8 @@ def find_patches(
             free = {pair: _all_four(room) for pair, room in free.items()}
     full = moments[..., 0] >= MIN_RETURNS_PER_PATCH
     overlaps = {(a, b) for a, b in free if (full[a] & full[b]).any()}
-    return _thinned(_joined(found)), overlaps
+    together = {name: np.concatenate([part[name] for part in found]) for name in found[0]}
+    return _thinned(together), overlaps
 
 
 def region(core: Bounds) -> Bounds:
@@ -200,14 +201,6 @@ def _rows(
     }
 
 
-def _joined(found: list[Patches]) -> Patches:
-    if not found:
-        names = ("x", "y", "edge_m", "rise", "variance", "east", "north", "ee", "en", "nn")
-        empty = {name: np.empty(0) for name in (*names, "returns", "thickness")}
-        return {"first": np.empty(0, np.int32), "second": np.empty(0, np.int32), **empty}
-    return {name: np.concatenate([part[name] for part in found]) for name in found[0]}
-
-
 def _thinned(patches: Patches) -> Patches:
     """No more than :data:`MOST` patches of each pair: half of them the steepest."""
     pair = patches["first"].astype(np.int64) * 2**32 + patches["second"]
@@ -226,44 +219,25 @@ def _thinned(patches: Patches) -> Patches:
     return {name: values[rows] for name, values in patches.items()}
 
 
-@njit()
-def add_moments(
-    x: NDArray[np.int64],
-    y: NDArray[np.int64],
-    z: NDArray[np.int64],
-    line: NDArray[np.int16],
-    corner: NDArray[np.int64],
-    edge: int,
-    joined: int,
-    moments: NDArray[np.int64],
-) -> None:
-    """Add points to the sums of the squares that they lie in.
+def moments_of(
+    xyz: tuple[NDArray[np.int64], ...], line: NDArray[np.int64], shape: tuple[int, int, int]
+) -> NDArray[np.int64]:
+    """Count and sums of x, y, z, xx, xy, yy, xz, yz, zz in squares: (lines, rows, columns, 10).
 
-    Sums of ``joined`` x ``joined`` squares of an ``edge`` have one origin, the middle of all of
-    them, so that they may be added up. ``corner``: south-west of the first square and a height
-    below all points; ``moments`` (lines, rows, columns, 10): count and sums of x, y, z, xx, xy, yy,
-    xz, yz, zz [quanta].
+    ``xyz``: from the south-west of the first square and a height below all points on [quanta]. In
+    sums x and y count from the middle of the largest square around, so that they may be added up.
     """
-    rows, columns = moments.shape[1], moments.shape[2]
-    half = joined * edge // 2
-    for k in range(len(x)):
-        i, j = (x[k] - corner[0]) // edge, (y[k] - corner[1]) // edge
-        if i < 0 or j < 0 or i >= columns or j >= rows:
-            continue
-        dx = x[k] - corner[0] - (i // joined) * joined * edge - half
-        dy = y[k] - corner[1] - (j // joined) * joined * edge - half
-        dz = z[k] - corner[2]
-        sums = moments[line[k], j, i]
-        sums[0] += 1
-        sums[1] += dx
-        sums[2] += dy
-        sums[3] += dz
-        sums[4] += dx * dx
-        sums[5] += dx * dy
-        sums[6] += dy * dy
-        sums[7] += dx * dz
-        sums[8] += dy * dz
-        sums[9] += dz * dz
+    edge, whole = quanta(EDGE_M), quanta(SQUARE_M)
+    index = (line, xyz[1] // edge, xyz[0] // edge)
+    mine = np.logical_and.reduce([(k >= 0) & (k < n) for k, n in zip(index, shape, strict=True)])
+    at = np.ravel_multi_index([k[mine] for k in index], shape)
+    x, y, z = (axis[mine] for axis in xyz)
+    x, y = (axis % whole - whole // 2 for axis in (x, y))
+    sums = np.zeros((math.prod(shape), 10), np.int64)
+    products = (np.ones_like(x), x, y, z, x * x, x * y, y * y, x * z, y * z, z * z)
+    for total, values in zip(sums.T, products, strict=True):
+        np.add.at(total, at, values)
+    return sums.reshape(*shape, 10)
 
 
 def doubled(moments: NDArray[np.int64]) -> NDArray[np.int64]:

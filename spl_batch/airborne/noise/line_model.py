@@ -47,15 +47,6 @@ class LineModel:
             interval_rows(shot, self.interval_shots, self.interval, row)
         return row
 
-    def at(
-        self, row: NDArray[np.int64], values: NDArray[np.float64], missing: float
-    ) -> NDArray[np.float64]:
-        """Value by :meth:`row`; ``missing`` where the model is empty: (n,) float64."""
-        if len(values) == 0:
-            return np.full(len(row), missing)
-        taken: NDArray[np.float64] = values.take(row)
-        return taken
-
     def signal_at(self, shot: NDArray[np.int64]) -> NDArray[np.float64]:
         """Height of the signal of each shot, of a model that is not empty: (n,) float64 [m]."""
         row = self.row(shot)

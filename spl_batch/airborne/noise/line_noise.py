@@ -328,7 +328,7 @@ def _seen_window(seen: NDArray[np.int64], fired: NDArray[np.int64], interval_sho
 
 def line_density(table: PointTable, model: LineModel) -> NDArray[np.float64]:
     """Noise of each point's beamlet over ground of gain 1 [W17 Eq. 5.1]: (n,) float64 [1/m]."""
-    density = model.at(model.row(table["shot"]), model.rate, model.mean_rate)
+    density: NDArray[np.float64] = model.rate.take(model.row(table["shot"]))
     density *= model.gain.take(table["channel"])
     return density
 
@@ -338,7 +338,7 @@ def gate_of(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Slant ranges between which each point's beamlet was listened to: two (n,) float64 [m]."""
     row = model.row(table["shot"])
-    near, far = model.at(row, model.near, 0.0), model.at(row, model.far, 0.0)
+    near, far = model.near.take(row), model.far.take(row)
     if model.kind == "range":
         return near, far
     z = beams.origin_m[:, 2]

@@ -48,9 +48,6 @@ LEAST: Final = 0.15
 CUT: Final = 0.07
 """Share by which a beamlet stands for less than in the next layer where its gate ends."""
 
-ENOUGH: Final = 0.5
-"""Share of the next layer's beamlets that shows what a beamlet stands for."""
-
 
 def listened(
     amount: NDArray[np.int64], counts: NDArray[np.integer[Any]], voxel_m: float
@@ -119,6 +116,7 @@ def _believed(beamlets: NDArray[np.float32], covered: NDArray[np.float32]) -> ND
     area: NDArray[np.float32] = np.maximum(blurred(covered, BLUR), np.float32(1.0))
     around: NDArray[np.float32] = covered * blurred(beamlets, BLUR) / area
     ridge = around - blurred(around, BLUR) / area
+    # By the counts around: by its own, larger counts were believed more, and all were too many.
     own = around / (around + np.float32(PRIOR))
     number = around + own * (beamlets - around + np.float32(RIDGE) * ridge)
     return np.maximum(number, np.float32(0.0))
@@ -134,19 +132,10 @@ def each_stands_for(
     """
     mean = amount / (VOXEL_FIXED_POINT * voxel_m**3)
     own = of_voxels(beamlets)
-    number = blurred(own)
-    part = ratio(blurred(mean), number)
-    # A layer that only beams reach which leave the others' tells nothing.
-    tells = number >= ENOUGH * tallest(number)
-    here = np.where(tells, part, 0.0)
-    whole = tallest(here)
-    return np.where((part < (1.0 - CUT) * whole) | ~tells, whole, here)
-
-
-def tallest(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Largest of each voxel and those above and below: (i, j, k) float64, k upwards."""
-    largest: NDArray[np.float64] = ndimage.maximum_filter1d(values, 3, axis=2)
-    return largest
+    part = ratio(blurred(mean), blurred(own))
+    # The largest of each layer and those above and below.
+    whole = ndimage.maximum_filter1d(part, 3, axis=2)
+    return np.where(part < (1.0 - CUT) * whole, whole, part)
 
 
 def unpack(counts: NDArray[np.integer[Any]]) -> NDArray[np.float32]:

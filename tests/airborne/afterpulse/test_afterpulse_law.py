@@ -276,12 +276,11 @@ def test_the_law_integrates_to_its_probability() -> None:
 def test_rows_without_beams_or_channels_have_no_rate() -> None:
     table, trajectory, _ = shots(flat, number=10)
     beams = geometry.beams(table, trajectory)
-    law = sensor_law(SENSOR)
-    rate = afterpulse_law.rate(table, beams, law)
-    assert (rate > 0).any()
+    settings = AfterpulseSettings()
+    assert (candidates.assess(table, beams, settings, SENSOR)[1] > 0).any()
     unknown = BeamTable(
         beams.origin_m, beams.direction, beams.range_m, np.zeros(len(table), np.bool_)
     )
-    assert not afterpulse_law.rate(table, unknown, law).any()
-    plain = table.with_columns(channel=np.zeros(len(table)))
-    assert not afterpulse_law.rate(plain, beams, law).any()
+    assert not candidates.assess(table, unknown, settings, SENSOR)[1].any()
+    plain = table.with_columns(channel=np.zeros(len(table), np.uint8))
+    assert not candidates.assess(plain, beams, settings, SENSOR)[1].any()

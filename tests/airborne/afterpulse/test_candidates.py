@@ -96,7 +96,7 @@ def shots(
 def found(
     table: PointTable, track: Trajectory, settings: AfterpulseSettings = SETTINGS
 ) -> NDArray[np.float32]:
-    return candidates.probability(table, geometry.beams(table, track), settings, SENSOR)
+    return candidates.assess(table, geometry.beams(table, track), settings, SENSOR)[0]
 
 
 def test_places_across_a_beam_are_square_to_it() -> None:
@@ -192,8 +192,8 @@ def test_no_return_is_an_afterpulse_farther_behind_than_the_longest_lag(longest:
     sensor = SENSOR.model_copy(update={"afterpulse_lag_max_m": longest})
     table, track, kind = shots(level, noise_per_m=2e-3, number=20)
     beams = geometry.beams(table, track)
-    due = afterpulse_law.rate(table, beams, afterpulse_law.sensor_law(sensor)) > 0
-    p = candidates.probability(table, beams, SETTINGS, sensor)
+    p, rate = candidates.assess(table, beams, SETTINGS, sensor)
+    due = rate > 0
     assert (p[~due] == 0).all()
     assert (p[due] > 0).all()
     assert (p[due & (kind == 1)] >= 0.5).mean() > 0.9

@@ -58,8 +58,8 @@ def test_what_is_found_is_what_channels_tell(late_s: float) -> None:
         *zip(table["gps_time"][order], table["channel"][order], numbered["channel"], strict=True)
     }
     assert len(both) == len(pairs)
-    given = candidates.probability(table, beams, AfterpulseSettings(), SENSOR)
-    found = candidates.probability(numbered, beams.take(order), AfterpulseSettings(), SENSOR)
+    given = candidates.assess(table, beams, AfterpulseSettings(), SENSOR)[0]
+    found = candidates.assess(numbered, beams.take(order), AfterpulseSettings(), SENSOR)[0]
     np.testing.assert_allclose(found, given[order], atol=1e-6)
 
 

@@ -14,9 +14,9 @@ from spl_batch.airborne.lines.patches import (
     MIN_RETURNS_PER_PATCH,
     THICKEST_M,
     Patches,
-    add_moments,
     doubled,
     find_patches,
+    moments_of,
     region,
     seen_lines,
 )
@@ -33,10 +33,8 @@ from tests.airborne.lines.two_strips import (
 def test_moments_are_the_sums_of_the_points_of_each_square() -> None:
     rng = np.random.default_rng(1)
     x, y, z = (rng.integers(0, 60_000, 500).astype(np.int64) for _ in range(3))
-    strip = rng.integers(0, 3, 500).astype(np.int16)
-    corner = np.array([10_000, 10_000, 0], np.int64)
-    got = np.zeros((3, 4, 8, 10), np.int64)
-    add_moments(x, y, z, strip, corner, 5_000, 4, got)
+    strip = rng.integers(-1, 3, 500)
+    got = moments_of((x - 10_000, y - 10_000, z), strip, (3, 4, 8))
     for s in range(3):
         for j in range(4):
             for i in range(8):
