@@ -151,11 +151,11 @@ def _grow(
             near = around[i]
             if free[i]:
                 there[i] = on_one_side(
-                    nodes, near, steep, i, (NEAR_M, UNEVEN), (ROUGH_M, UNEVEN), (STEEP, np.inf)
+                    nodes, near, steep, i, (NEAR_M, UNEVEN), (ROUGH_M, UNEVEN), (STEEP, np.inf), True
                 )
             if beside_wall[i]:
                 here[i] = on_one_side(
-                    nodes, near, level, i, (NEAR_M, 0.0), (ROUGH_M, 0.0), (0.0, STEEP)
+                    nodes, near, level, i, (NEAR_M, 0.0), (ROUGH_M, 0.0), (0.0, STEEP), True
                 )
         fresh = there | here
         if not fresh.any():

@@ -139,14 +139,14 @@ def goes_on(
     for k, i in enumerate(asked):
         flat_m = FLAT * spread_m[i], FLAT * drift_m[i]
         above_m = ABOVE * spread_m[i], 0.0
-        found[k] = on_one_side(nodes, around[i], weight, i, above_m, flat_m, (0.0, np.inf))
+        found[k] = on_one_side(nodes, around[i], weight, i, above_m, flat_m, (0.0, np.inf), False)
     return found
 
 
 @njit()
 def on_one_side(
     nodes: Float, around: Index, weight: Float, i: int,
-    above_m: Range, scatter_m: Range, slopes: Range,
+    above_m: Range, scatter_m: Range, slopes: Range, both: bool,
 ) -> bool:  # fmt: skip
     """Whether a plane through the nodes of one side goes on to one node, or above it.
 
@@ -163,20 +163,20 @@ def on_one_side(
         ground, and more for each unit of slope [m].
     slopes : (float, float)
         Least and largest slope of the plane [rise/run].
+    both : bool
+        Whether the plane of the opposite side, where there is one, must go on to it as well.
     """
+    goes_on, contradicts = np.zeros(SIDES, np.bool_), np.zeros(SIDES, np.bool_)
     for side in range(SIDES):
         turn = 2.0 * np.pi * side / SIDES
         counted, above, slope, scatter = _plane(
             nodes, around, weight, i, np.cos(turn), np.sin(turn)
         )
-        if (
-            counted >= LEAST
-            and scatter <= scatter_m[0] + scatter_m[1] * slope
-            and above <= above_m[0] + above_m[1] * slope
-            and slopes[0] <= slope <= slopes[1]
-        ):
-            return True
-    return False
+        if counted >= LEAST and scatter <= scatter_m[0] + scatter_m[1] * slope:
+            higher = above > above_m[0] + above_m[1] * slope
+            goes_on[side] = not higher and slopes[0] <= slope <= slopes[1]
+            contradicts[side - SIDES // 2] = higher and both
+    return bool((goes_on & ~contradicts).any())
 
 
 @njit()
