@@ -21,7 +21,7 @@ from spl_batch.airborne.ground.lowest_layers import (
     count_support,
     lowest_layers,
 )
-from spl_batch.airborne.ground.pits import REACH_M, in_pits
+from spl_batch.airborne.ground.pits import PIT_REACH_M, in_pits
 from spl_batch.airborne.ground.smrf import fill_gaps, low_outliers, object_cells
 from spl_batch.airborne.settings import PtdSettings
 from spl_batch.constants import QUANTA_PER_M
@@ -142,7 +142,7 @@ def _judge(
 def sunk(nodes: Nodes, rows: int, columns: int, cell_m: float) -> Mask:
     """Nodes below a hard surface in their cell, or in a pit of a smooth one around it."""
     pit = np.empty(len(nodes.cell), dtype=np.bool_)
-    reach = max(round(REACH_M / cell_m), 1)
+    reach = max(round(PIT_REACH_M / cell_m), 1)
     asked = nodes.points < SUPPORTED
     in_pits(nodes.xyz, nodes.cell, asked, nodes.doubtful, rows, columns, reach, pit)
     return pit | nodes.buried

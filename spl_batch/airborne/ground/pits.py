@@ -17,26 +17,21 @@ they agree:
   through a crown is, needs agreement among nodes that are not such single returns themselves:
   a roof fills its layers, leaves do not.
 
-Below a closed crown none of this speaks: few returns reach the ground, and the neighbours of what
-noise has left there are leaves. It takes the place of the ground among the lowest nodes, and true
-returns above it are lost. Once the ground has been told from what stands on it, its own nodes are
-the neighbours, and most of them are of one surface: a node far below their plane, for what
-they scatter about it, is none of theirs (:func:`under_ground`).
+Below a closed crown none of this decides: few returns reach the ground, and the neighbours of what
+noise has left there are leaves. Once the ground is separated from what stands on it, its own nodes
+are the neighbours (:func:`~spl_batch.airborne.ground.multiscale.node_planes.under_planes`).
 
 After the low-point tests of ground filters (isolated points below all neighbours
 [Axelsson 2000 uses them before the seeds]); the comparison of opposite pairs is our own.
 """
 
-from typing import Final
-
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.ground.node_grids import cells_of, lowest_nodes
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.sorting import order_of
 
-REACH_M = 2.0
+PIT_REACH_M = 2.0
 """Neighbours up to this far on each side, but in cells next to it at least [m]."""
 
 _AGREE_M = 0.4
@@ -56,135 +51,6 @@ _ENOUGH = 4
 
 _LEAVES_M = 2.0
 """Leaves of a crown are seldom this near to the ground below them [m]."""
-
-_CELLS_M: Final = (1.0, 2.0, 4.0)
-"""Cells whose lowest ground nodes make a plane, one size after the other [m]."""
-
-_NEXT: Final = 2
-"""How many of these cells off, on each side, they are [count]."""
-
-_FEWEST: Final = 6
-"""Fewer nodes tell no plane [count]."""
-
-_FLAT: Final = 0.02
-"""Nor do places that lie nearer to one line than this: product of their variances along and across
-over the square of their sum."""
-
-_SCATTERS: Final = 3.0
-"""A pit is deeper than so many standard deviations of the nodes about the plane."""
-
-_BLOCK_M: Final = 16.0
-_CROWDED_SHARE: Final = 0.25
-"""With more ground nodes of crowded cells than this share, single returns are not all that a block
-has [m, 1]."""
-
-_ROUNDS: Final = 3
-"""So often the planes are made anew, without what was found: of two pits side by side each hides
-the other [count]."""
-
-
-def nearly_empty(
-    xyz: NDArray[np.float64], ground: NDArray[np.bool_], crowded: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
-    """Nodes of nearly empty cells in blocks that have others as well: (n,) bool.
-
-    Parameters
-    ----------
-    xyz : (n, 3) float64
-        Nodes [m].
-    ground : (n,) bool
-        Those of the ground.
-    crowded : (n,) bool
-        Nodes of cells with several returns in the lowest layer, or many above it.
-    """
-    column, row = np.floor(xyz[:, :2] / _BLOCK_M).astype(np.int64).T
-    column, row = column - column.min(), row - row.min()
-    block = row * (int(column.max()) + 1) + column
-    of_all, of_crowded = (
-        np.bincount(block[some], minlength=int(block.max()) + 1)
-        for some in (ground, ground & crowded)
-    )
-    found: NDArray[np.bool_] = ~crowded & (of_crowded > _CROWDED_SHARE * of_all)[block]
-    return found
-
-
-def under_ground(
-    xyz: NDArray[np.float64], ground: NDArray[np.bool_], doubtful: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
-    """Ground nodes far below the plane of the ground around them: (n,) bool.
-
-    Where single returns are all that there is, as in sparse surveys, none is to be judged, and no
-    pit is looked for.
-
-    Parameters
-    ----------
-    xyz : (n, 3) float64
-        Nodes [m].
-    ground : (n,) bool
-        Those of the ground.
-    doubtful : (n,) bool
-        Those that are judged: nodes of one or two returns below many others in the same cell, or in
-        a nearly empty one amid others.
-    """
-    found = np.zeros(len(xyz), dtype=np.bool_)
-    for cell_m in _CELLS_M:
-        for _ in range(_ROUNDS):
-            below = _off_planes(xyz, ground & ~found, doubtful, cell_m)
-            if not len(below):
-                break
-            found[below] = True
-    return found
-
-
-def _off_planes(
-    xyz: NDArray[np.float64], ground: NDArray[np.bool_], doubtful: NDArray[np.bool_],
-    cell_m: float,
-) -> NDArray[np.int64]:  # fmt: skip
-    """Doubtful ground nodes far below the planes of others."""
-    asked = np.flatnonzero(ground & doubtful)
-    off = np.zeros(len(asked), dtype=np.bool_)
-    if len(asked):
-        at, grid = cells_of(xyz, asked, cell_m), lowest_nodes(xyz, ground, cell_m)
-        _below_planes(xyz, asked, at, grid, off)
-    found: NDArray[np.int64] = asked[off]
-    return found
-
-
-@njit()
-def _below_planes(
-    xyz: NDArray[np.float64],
-    asked: NDArray[np.int64],
-    at: NDArray[np.int64],
-    grid: NDArray[np.int64],
-    out: NDArray[np.bool_],
-) -> None:
-    """Fill with nodes below the plane of the grid's others around; ``at``: their row, column."""
-    for k in range(len(asked)):
-        i, (row, column) = asked[k], at[k]
-        n, x, y, z = 0, 0.0, 0.0, 0.0
-        xx, xy, yy, xz, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for r in range(max(row - _NEXT, 0), min(row + _NEXT + 1, grid.shape[0])):
-            for c in range(max(column - _NEXT, 0), min(column + _NEXT + 1, grid.shape[1])):
-                j = grid[r, c]
-                if j < 0 or j == i:
-                    continue
-                dx, dy, dz = xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1], xyz[j, 2] - xyz[i, 2]
-                n, x, y, z = n + 1, x + dx, y + dy, z + dz
-                xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
-                xz, yz, zz = xz + dx * dz, yz + dy * dz, zz + dz * dz
-        out[k] = False
-        if n < _FEWEST:
-            continue
-        x, y, z = x / n, y / n, z / n
-        xx, yy, xy = xx / n - x * x, yy / n - y * y, xy / n - x * y
-        xz, yz, zz = xz / n - x * z, yz / n - y * z, zz / n - z * z
-        scale = xx * yy - xy * xy
-        if scale < _FLAT * (xx + yy) ** 2:
-            continue
-        east, north = (yy * xz - xy * yz) / scale, (xx * yz - xy * xz) / scale
-        # Of n residuals a plane leaves n - 3 free.
-        rough = np.sqrt(max(zz - east * xz - north * yz, 0.0) * n / (n - 3))
-        out[k] = z - east * x - north * y > max(_DEPTH_M, _SCATTERS * rough)
 
 
 @njit()

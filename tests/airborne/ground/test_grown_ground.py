@@ -11,25 +11,26 @@ from spl_batch.airborne.ground.ground_methods import ground_mask
 from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
 from spl_batch.airborne.ground.ground_trend import fit_trend, trend_at
 from spl_batch.airborne.ground.multiscale.grown_ground import (
+    APART_M,
+    APART_SLOPE,
     ASIDE_M,
     CLIFF_M,
+    CONTOUR_M,
     EAVE_M,
     EDGE_M,
     ISLAND,
     NEAR_M,
-    REACH_M,
     ROUGH_M,
     ROUNDS,
     STEEP,
-    STEP_M,
-    STEP_SLOPE,
     TILT,
     UNEVEN,
+    WALL_M,
     barred,
     edges,
     grown,
 )
-from spl_batch.airborne.ground.multiscale.node_planes import LEAST
+from spl_batch.airborne.ground.multiscale.node_planes import LEAST, nearest_nodes, on_one_side
 from spl_batch.airborne.ground.node_grids import lowest_nodes, nearest_node
 from spl_batch.airborne.settings import GroundSettings
 from spl_batch.lattice.tables import PointTable
@@ -140,7 +141,7 @@ def test_nodes_between_two_steps_are_those_of_a_slow_twin(seed: int, stretched: 
         along = np.array([-east[node], north[node]]) / tilt[*cell]
         stands = (
             tilt[*cell] > TILT
-            and np.hypot(*(known - cell).T).min() <= REACH_M
+            and np.hypot(*(known - cell).T).min() <= CONTOUR_M
             and off[*cell] > EAVE_M / 2
             and 0 < min(_fall_m(off, height, cell, way * along) for way in (1, -1)) < CLIFF_M
         )
@@ -228,6 +229,24 @@ def test_the_corner_of_a_plateau_is_ground() -> None:
     assert found[tip].mean() > 0.8
 
 
+@pytest.mark.parametrize(("behind_m", "grows"), [(0.6, True), (0.0, False), (-3.0, True)])
+def test_ground_grows_up_no_shrub_but_to_crests_and_rims(behind_m: float, *, grows: bool) -> None:
+    x, y = (along.ravel() for along in np.meshgrid(np.arange(-5.0, 6.0), np.arange(-5.0, 6.0)))
+    height = np.where(x <= 0, 0.12 * (x + 5), behind_m)  # the flank of a shrub, and ground behind
+    xyz = np.column_stack([x, y, 0.9 * x + height])
+    node = int(np.flatnonzero((x == 0) & (y == 0))[0])
+    near = nearest_nodes(xyz)[node]
+    weight = np.ones(len(xyz))
+    weight[x == 0] = 0.0
+
+    def grown_to(wall_m: float) -> bool:
+        limits = (NEAR_M, UNEVEN), (ROUGH_M, UNEVEN), (STEEP, np.inf)
+        return on_one_side(xyz, near, weight, node, *limits, wall_m)
+
+    assert grown_to(0.0)
+    assert grown_to(WALL_M) == grows
+
+
 def _grown(xyz: Float, grid: NDArray[np.int64], ground: Mask) -> Mask:
     """Round by round, every node against planes of one side by least squares."""
     nearest = nearest_node(grid)
@@ -248,7 +267,7 @@ def _grown(xyz: Float, grid: NDArray[np.int64], ground: Mask) -> Mask:
     for i in graph:
         for j in order[i][:8]:
             apart = np.hypot(*(xyz[i, :2] - xyz[j, :2]))
-            if ground[j] and abs(xyz[i, 2] - xyz[j, 2]) <= max(STEP_M, STEP_SLOPE * apart):
+            if ground[j] and abs(xyz[i, 2] - xyz[j, 2]) <= max(APART_M, APART_SLOPE * apart):
                 part[root(i)] = root(j)
     size = Counter(root(i) for i in graph)
     level = {i for i in graph if size[root(i)] >= ISLAND}
@@ -271,15 +290,14 @@ def _grown(xyz: Float, grid: NDArray[np.int64], ground: Mask) -> Mask:
 def _goes_on(
     xyz: Float, order: NDArray[np.int64], ground: set[int], i: int, least: float, most: float
 ) -> bool:
-    for turn in np.arange(0, 2 * np.pi, np.pi / 4):
+    fits, denied = np.zeros(8, bool), np.zeros(8, bool)
+    for k, turn in enumerate(np.arange(0, 2 * np.pi, np.pi / 4)):
         ahead = (xyz[order, :2] - xyz[i, :2]) @ [np.cos(turn), np.sin(turn)] >= 0
         side = np.array([j for j in order[ahead] if j in ground], dtype=int)
         if len(side):
-            weight = np.ones(len(xyz))
-            counted, above, slope, scatter = slow_plane(xyz, weight, i, side)
+            counted, above, slope, scatter = slow_plane(xyz, np.ones(len(xyz)), i, side)
             uneven_m = UNEVEN * slope if least else 0.0
-            off_m = max(scatter - ROUGH_M, above - NEAR_M)
-            fits = counted >= LEAST and off_m <= uneven_m
-            if fits and least <= slope <= most:
-                return True
-    return False
+            if counted >= LEAST and scatter <= ROUGH_M + uneven_m:
+                denied[(k + 4) % 8] = NEAR_M + uneven_m < above < WALL_M
+                fits[k] = above <= NEAR_M + uneven_m and least <= slope <= most
+    return bool((fits & ~denied).any())

@@ -5,10 +5,11 @@ import pytest
 
 from spl_batch.airborne.ground.multiscale.node_planes import (
     FLAT,
-    REACH_M,
+    PLANE_REACH_M,
     RIDGE,
     above_planes,
     goes_on,
+    under_planes,
     without_plants,
 )
 from spl_batch.airborne.ground.multiscale_surface import depths_below, ends_within, no_depths
@@ -33,7 +34,7 @@ def nearest(xyz):
 def slow_plane(xyz, weight, i, members):
     """Weight, height above the weighted plane, slope and scatter, by normal equations."""
     d = xyz[members] - xyz[i]
-    w = weight[members] * np.exp(-(d[:, 0] ** 2 + d[:, 1] ** 2) / REACH_M**2)
+    w = weight[members] * np.exp(-(d[:, 0] ** 2 + d[:, 1] ** 2) / PLANE_REACH_M**2)
     mean = w @ d / w.sum()
     around = d - mean
     normal = (w * around[:, :2].T) @ around[:, :2] / w.sum()
@@ -78,6 +79,47 @@ def test_planes_of_one_side_are_those_of_the_slow_way():
     found = goes_on(xyz, nearest(xyz), weight, drift_m, spread_m, np.arange(120))
     assert found.tolist() == expected
     assert 10 < found.sum() < 110
+
+
+def slow_below(xyz, known, asked):
+    """Nodes far below the planes of the 20 nearest known ones, but for themselves."""
+    found = np.zeros(len(xyz), bool)
+    for i in np.flatnonzero(asked):
+        apart = np.where(known, np.linalg.norm(xyz[:, :2] - xyz[i, :2], axis=1), np.inf)
+        near = [j for j in np.argsort(apart)[:20] if j != i]
+        counted, above, _, scatter = slow_plane(xyz, np.ones(len(xyz)), i, near)
+        found[i] = counted >= 2.5 and -above > max(0.25, 3.0 * scatter)
+    return found
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_noise_below_ground_is_that_of_a_slow_twin(seed):
+    rng = np.random.default_rng(seed)
+    xyz = nodes(seed, slope=0.3, rough_m=0.05, side_m=20.0)
+    low = rng.random(len(xyz)) < 0.05
+    xyz[low, 2] -= rng.uniform(0.1, 3.0, int(low.sum()))
+    # Well-filled nodes lie in the west, single returns below many others in the east.
+    filled = ~low & (rng.random(len(xyz)) < 0.7) & (xyz[:, 0] < 8)
+    doubtful = ~filled & (rng.random(len(xyz)) < 0.9)
+    once = slow_below(xyz, filled, ~filled)
+    twice = slow_below(xyz, ~once, doubtful & ~once)
+    found = under_planes(xyz, filled, doubtful)
+    assert found.tolist() == (once | twice).tolist()
+    assert once.any()
+    assert twice.any()
+    assert found[low].mean() > 0.6
+    assert not found[~low].any()
+
+
+@pytest.mark.parametrize("slope", [0.0, 1.7])
+def test_noise_below_steep_ground_and_beside_more_of_it_is_found(slope):
+    xyz = nodes(8, slope, 0.05, 20.0)
+    pair = np.argsort(np.hypot(xyz[:, 0] - 10, xyz[:, 1] - 10))[:2]
+    xyz[pair, 2] -= 0.8, 1.2
+    filled, none = np.ones(len(xyz), bool), np.zeros(len(xyz), bool)
+    filled[pair] = False
+    assert np.flatnonzero(under_planes(xyz, filled, none)).tolist() == sorted(pair)
+    assert not under_planes(xyz, none, none).any()
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.8])

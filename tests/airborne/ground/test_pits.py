@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from spl_batch.airborne.ground.ground_methods import ground_mask
 from spl_batch.airborne.ground.lowest_layers import lowest_layers
-from spl_batch.airborne.ground.pits import in_pits, nearly_empty, under_ground
+from spl_batch.airborne.ground.pits import in_pits
 from spl_batch.airborne.ground.point_spacing import spacing_around_m, spacing_m
 from spl_batch.airborne.ground.smrf import fill_gaps
 from spl_batch.airborne.settings import GroundSettings
@@ -130,71 +130,12 @@ def test_a_pit_at_the_edge_of_a_crown_is_one() -> None:
     assert not pits(np.column_stack([x, y, z]), np.arange(81), (9, 9))[40]
 
 
-def plain_under_ground(xyz: np.ndarray, ground: np.ndarray, doubtful: np.ndarray) -> np.ndarray:
-    """Nodes below the planes of the lowest ground of cells, size by size, by least squares."""
-    left = ground.copy()
-    for edge in (1, 1, 1, 2, 2, 2, 4, 4, 4):
-        cell = np.floor(xyz[:, :2] / edge).astype(int)
-        lowest: dict[tuple[int, int], int] = {}
-        for i in sorted(np.flatnonzero(left), key=lambda i: -xyz[i, 2]):
-            lowest[cell[i, 0], cell[i, 1]] = int(i)
-        pits = []
-        for i in np.flatnonzero(left & doubtful):
-            near = [
-                lowest.get((cell[i, 0] + k % 5 - 2, cell[i, 1] + k // 5 - 2)) for k in range(25)
-            ]
-            others = np.array([j for j in near if j not in (None, i)], dtype=int)
-            if len(others) < 6:
-                continue
-            off = xyz[others] - xyz[i]
-            spread = np.cov(off[:, :2].T, bias=True)
-            if np.linalg.det(spread) < 0.02 * np.trace(spread) ** 2:
-                continue
-            design = np.column_stack([np.ones(len(off)), off[:, :2]])
-            plane = np.linalg.lstsq(design, off[:, 2], rcond=None)[0]
-            rough = np.linalg.norm(off[:, 2] - design @ plane) / np.sqrt(len(off) - 3)
-            if plane[0] > max(0.25, 3 * rough):
-                pits.append(i)
-        left[pits] = False
-    return ground & ~left
-
-
-@pytest.mark.parametrize("seed", [1, 2])
-def test_pits_of_sparse_ground_are_those_of_a_slow_twin(seed: int) -> None:
-    n = 500
-    rng = np.random.default_rng(seed)
-    xyz = np.column_stack([*rng.uniform(0, 30, (2, n)), rng.normal(0, 0.05, n)])
-    xyz[:, 2] += 0.3 * xyz[:, 0]
-    low = rng.random(n) < 0.05
-    xyz[low, 2] -= rng.uniform(0.6, 3.0, int(low.sum()))
-    ground, doubtful = rng.random(n) < 0.9, low | (rng.random(n) < 0.3)
-    found = under_ground(xyz, ground, doubtful)
-    assert found.tolist() == plain_under_ground(xyz, ground, doubtful).tolist()
-    inner = np.all((xyz[:, :2] > 8) & (xyz[:, :2] < 22), axis=1)
-    assert found[low & ground & inner].mean() > 0.8
-    assert not found[~low].any()
-    assert not under_ground(xyz, ground, np.zeros(n, dtype=np.bool_)).any()
-
-
-@pytest.mark.parametrize("slope", [0.0, 1.7])
-def test_noise_below_ground_is_told_on_steep_slopes_and_beside_more_of_it(slope: float) -> None:
-    rng = np.random.default_rng(8)
-    xyz = np.column_stack([*rng.uniform(0, 20, (2, 300)), rng.normal(0, 0.05, 300)])
-    xyz[:, 2] += slope * xyz[:, 0]
-    pair = np.argsort(np.hypot(xyz[:, 0] - 10, xyz[:, 1] - 10))[:2]
-    xyz[pair, 2] -= 0.8, 1.2
-    found = under_ground(xyz, np.ones(300, bool), np.ones(300, bool))
-    assert np.flatnonzero(found).tolist() == sorted(pair)
-
-
 def test_the_bottom_of_a_ditch_is_no_pit() -> None:
     x, y = (v.ravel() + 0.5 for v in np.meshgrid(np.arange(9.0), np.arange(9.0)))
     z = np.where(np.abs(x - 4.5) < 0.6, -1.0, 0.0)
     bottom = np.abs(x - 4.5) < 0.6
     inner = (y > 2) & (y < 7)
-    xyz, every = np.column_stack([x, y, z]), np.ones(81, bool)
-    assert not pits(xyz, np.arange(81), (9, 9))[bottom & inner].any()
-    assert not under_ground(xyz, every, every)[bottom & inner].any()
+    assert not pits(np.column_stack([x, y, z]), np.arange(81), (9, 9))[bottom & inner].any()
 
 
 @pytest.mark.parametrize(
@@ -310,21 +251,6 @@ def test_spacing_around_a_place_is_that_of_nine_squares_whatever_else_is_in_sigh
     np.testing.assert_array_equal(spacing_around_m(x[part], y[part], *at), found)
     nowhere = spacing_around_m(x, y, np.array([900.0]), np.array([900.0]))
     np.testing.assert_array_equal(nowhere, 16.0)
-
-
-def test_nearly_empty_cells_are_told_where_others_are_not() -> None:
-    rng = np.random.default_rng(3)
-    xyz = np.column_stack([rng.uniform(0, 64, (2000, 2)), rng.normal(0, 1, 2000)])
-    ground = rng.random(2000) < 0.8
-    # From west to east ever more cells hold many returns.
-    crowded = rng.random(2000) < xyz[:, 0] / 64
-    found = nearly_empty(xyz, ground, crowded)
-    block = [tuple(place) for place in np.floor(xyz[:, :2] / 16).astype(int)]
-    share = {b: [crowded[i] for i in range(2000) if ground[i] and block[i] == b] for b in block}
-    expected = [not crowded[i] and np.mean(share[block[i]]) > 0.25 for i in range(2000)]
-    assert found.tolist() == expected
-    assert found.any()
-    assert not found[xyz[:, 0] < 16].any()
 
 
 def test_kept_noise_below_steep_ground_among_nearly_empty_cells_is_no_ground() -> None:

@@ -4,7 +4,9 @@ An opening takes a crest that is narrower than its window for an object, and a w
 corner of a plateau: both stand out. An object stands behind walls, though, and ground goes on from
 what was left of it. Here ground grows to the next node where a plane through the ground nodes of
 one side goes on to it, or above it, as over a rim: the two flanks of a crest do not level each
-other out. No source has this: [Axelsson 2000] mirrors points at the nearest one of the ground.
+other out. Where there is ground on the opposite side, its plane has to go on to it as well, or lie
+lower by a wall: a shrub on a slope is above both. No source has this: [Axelsson 2000] mirrors
+points at the nearest one of the ground.
 
 Five things look alike and are kept out:
 
@@ -45,8 +47,8 @@ UNEVEN: Final = 0.2
 """Rise of a plane from which on ground grows where no wall is, too, and how much farther off it a
 node may lie, and those of the plane may scatter, for each unit of that [rise/run, m]."""
 
-STEP_M: Final = 0.3
-STEP_SLOPE: Final = 0.5
+APART_M: Final = 0.3
+APART_SLOPE: Final = 0.5
 """Nodes whose heights differ by more than this, and this slope, do not hang together [m,
 rise/run]."""
 
@@ -65,7 +67,7 @@ WALL_M: Final = 1.5
 EDGE_M: Final = 2.0
 """Fall at the edge of a terrace or a deck, and over which way [m]."""
 
-REACH_M: Final = 4.0
+CONTOUR_M: Final = 4.0
 """Farther from ground its trend shows no contour [m]."""
 
 DECK_M: Final = 20.0
@@ -127,7 +129,7 @@ def on_land(nodes: Float, around: Index, ground: Mask) -> Mask:
     """
     beside = around[:, 1 : BESIDE + 1]
     east, north, up = np.moveaxis(nodes[beside] - nodes[:, np.newaxis], 2, 0)
-    together = np.abs(up) <= np.maximum(STEP_M, STEP_SLOPE * np.hypot(east, north))
+    together = np.abs(up) <= np.maximum(APART_M, APART_SLOPE * np.hypot(east, north))
     together &= ground[beside] & ground[:, np.newaxis]
     ends = np.nonzero(together)[0], beside[together]
     graph = coo_array((np.ones(len(ends[0]), np.bool_), ends), shape=(len(nodes),) * 2)
@@ -150,13 +152,11 @@ def _grow(
                 continue
             near = around[i]
             if free[i]:
-                there[i] = on_one_side(
-                    nodes, near, steep, i, (NEAR_M, UNEVEN), (ROUGH_M, UNEVEN), (STEEP, np.inf)
-                )
+                off, rough, slopes = (NEAR_M, UNEVEN), (ROUGH_M, UNEVEN), (STEEP, np.inf)
+                there[i] = on_one_side(nodes, near, steep, i, off, rough, slopes, WALL_M)
             if beside_wall[i]:
-                here[i] = on_one_side(
-                    nodes, near, level, i, (NEAR_M, 0.0), (ROUGH_M, 0.0), (0.0, STEEP)
-                )
+                off, rough, slopes = (NEAR_M, 0.0), (ROUGH_M, 0.0), (0.0, STEEP)
+                here[i] = on_one_side(nodes, near, level, i, off, rough, slopes, WALL_M)
         fresh = there | here
         if not fresh.any():
             break
@@ -188,7 +188,7 @@ def barred(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> Mask:
     above = np.where(full, (z - trend_at(trend, x, y))[grid], np.nan)
     # Across a crest that is cut off the trend is that between its rims: no contour.
     away = ndimage.distance_transform_edt(~(full & ground[grid])) * cell_m
-    asked = full & (away <= REACH_M) & (above > EAVE_M / 2)
+    asked = full & (away <= CONTOUR_M) & (above > EAVE_M / 2)
     edge, far = (round(along / cell_m) for along in (EDGE_M, ASIDE_M))
     _end_both_ways(above, z[grid], north, east, edge, far, asked, out)
     tilt = np.where(full, np.hypot(north, east), 0.0)
@@ -267,8 +267,8 @@ def _edges(height: Float, asked: Mask, edge: int, far: int, deck: int, out: Mask
             if not asked[r, c]:
                 continue
             for north, east in ((0.0, 1.0), (1.0, 0.0), (slant, slant), (slant, -slant)):
-                one = _drops(height, r, c, north, east, edge, far)
-                other = _drops(height, r, c, -north, -east, edge, far)
+                one = steps_to_wall(height, r, c, north, east, edge, far, WALL_M)
+                other = steps_to_wall(height, r, c, -north, -east, edge, far, WALL_M)
                 out[r, c] |= one > 0 or other > 0
                 if one > 0 and other > 0 and one + other <= deck:
                     between = 0.5 * (one - other)
@@ -290,7 +290,7 @@ def _is_corner(
     """
     ends = 0.0
     for turn in (1.0, -1.0):
-        end = _drops(height, row, column, turn * east, -turn * north, edge, far)
+        end = steps_to_wall(height, row, column, turn * east, -turn * north, edge, far, WALL_M)
         if 0 < end <= span:
             ends += turn
     if ends == 0.0:
@@ -301,27 +301,41 @@ def _is_corner(
         return False
     if abs(height[r, c] - height[row, column]) > WALL_M:
         return False
-    one = _drops(height, r, c, north, east, edge, far)
-    other = _drops(height, r, c, -north, -east, edge, far)
+    one = steps_to_wall(height, r, c, north, east, edge, far, WALL_M)
+    other = steps_to_wall(height, r, c, -north, -east, edge, far, WALL_M)
     return one == 0 or other == 0 or one + other >= 2 * span
 
 
 @njit()
-def _drops(
-    height: Float, row: int, column: int, north: float, east: float, edge: int, far: int
-) -> int:
+def steps_to_wall(
+    height: Float, row: int, column: int, north: float, east: float, edge: int, far: int,
+    wall_m: float,
+) -> int:  # fmt: skip
     """After how many cells on the way from one its surface ends in a wall; 0 where it does not.
 
-    What rises above the cell by a wall's height stands in the way: the eave of a house is none.
+    What rises above the cell by a wall's height is in the way: the eave of a house is none.
+
+    Parameters
+    ----------
+    height : (rows, columns) float64
+        Heights without gaps [m].
+    row, column : int
+        The cell.
+    north, east : float
+        The way, cell by cell [count].
+    edge, far : int
+        Width of a wall's edge, and how far off one counts [count].
+    wall_m : float
+        Least height of a wall [m].
     """
     rows, columns = height.shape
     top = height[row, column]
     for step in range(1, far + 1):
         r, c = int(np.rint(row + step * north)), int(np.rint(column + step * east))
-        if r < 0 or c < 0 or r >= rows or c >= columns or height[r, c] > top + WALL_M:
+        if r < 0 or c < 0 or r >= rows or c >= columns or height[r, c] > top + wall_m:
             return 0
         back = max(step - edge, 0)
         before = height[int(np.rint(row + back * north)), int(np.rint(column + back * east))]
-        if height[r, c] <= min(top, before) - WALL_M:
+        if height[r, c] <= min(top, before) - wall_m:
             return step
     return 0

@@ -5,8 +5,6 @@ cell sizes, the tolerance around the surface and its growth on slopes follow fro
 points and from how much the ground scatters.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,7 +18,7 @@ from spl_batch.airborne.ground.multiscale.near_surface import (
     surface_of,
     within,
 )
-from spl_batch.airborne.ground.multiscale.node_planes import without_plants
+from spl_batch.airborne.ground.multiscale.node_planes import under_planes, without_plants
 from spl_batch.airborne.ground.multiscale.raised_patches import on_houses
 from spl_batch.airborne.ground.multiscale.ranging_layer import (
     BLOCK_M,
@@ -41,7 +39,6 @@ from spl_batch.airborne.ground.multiscale_surface import (
     spread_below,
 )
 from spl_batch.airborne.ground.node_grids import lowest_nodes, nearest_node
-from spl_batch.airborne.ground.pits import nearly_empty, under_ground
 from spl_batch.airborne.ground.point_spacing import in_squares, spacing_around_m, spacings
 from spl_batch.numerics.cell_groups import group_by_cell
 
@@ -134,23 +131,14 @@ def _ground_surface(evidence: Place, sigma: Spread) -> tuple[Surface | None, Flo
     nearest = nearest_node(grid)
     ground = grown(xyz, grid, nearest, ground_nodes(xyz, high, grid, nearest), CELL_M)
     ground &= ~on_houses(xyz, ground)
-    judged = doubtful | nearly_empty(xyz, ground, filled | doubtful)
-    ground &= ~under_ground(xyz, ground, judged)
+    ground[ground] = ~under_planes(xyz[ground], filled[ground], doubtful[ground])
     x, y, _ = xyz[ground].T
     nodes, off = without_plants(xyz[ground], spacing_around_m(*evidence[:2], x, y))
     return surface_of(nodes), off
 
 
-class _Layers(NamedTuple):
-    """Nodes (n, 3) [m]; which are filled, and single returns below many."""
-
-    xyz: Float
-    filled: Mask
-    doubtful: Mask
-
-
-def _nodes(evidence: Place, sigma: Spread) -> _Layers:
-    """Lowest layers that are no low noise."""
+def _nodes(evidence: Place, sigma: Spread) -> tuple[Float, Mask, Mask]:
+    """Nodes (n, 3) [m]; those of several returns in the layer, and of few below many others."""
     x, y, z = evidence
     cells = group_by_cell(x, y, CELL_M)
     south, west = (int(np.floor(v.min() / CELL_M)) for v in (y, x))
@@ -165,4 +153,4 @@ def _nodes(evidence: Place, sigma: Spread) -> _Layers:
     if nodes.doubtful.any():
         above &= ~nodes.doubtful | supported(nodes, cells.rows, cells.columns, CELL_M)
     filled = nodes.points >= SUPPORTED
-    return _Layers(nodes.xyz[above], filled[above], nodes.doubtful[above])
+    return nodes.xyz[above], filled[above], nodes.doubtful[above]

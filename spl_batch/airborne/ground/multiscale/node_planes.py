@@ -20,7 +20,7 @@ from spl_batch.airborne.ground.multiscale.near_surface import SLOPE_M
 from spl_batch.numerics.compiled import njit
 
 NEAREST: Final = 20
-REACH_M: Final = 6.0
+PLANE_REACH_M: Final = 6.0
 """Planes go through so many of the nearest nodes, which count by exp(-(distance / reach)^2): nodes
 that are 8 m apart support no edge [count, m]."""
 
@@ -35,6 +35,9 @@ SPREAD_M: Final = 0.05
 SPREAD: Final = 0.7
 """Least spread of nodes about their planes [m], and that in spacings of the points."""
 
+NOISE_M: Final = 0.25
+"""A node that lies less far below the plane of those around is no noise [m]."""
+
 SIDES: Final = 8
 LEAST: Final = 2.5
 FLAT: Final = 0.2
@@ -46,6 +49,7 @@ RIDGE: Final = 0.005
 across the line."""
 
 Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
 Range = tuple[float, float]
 
@@ -80,6 +84,49 @@ def without_plants(nodes: Float, point_m: Float) -> tuple[Float, Float]:
     kept[far] = goes_on(nodes, around, weight, drift_m, spread_m, far)
     off = above_planes(nodes, around, kept.astype(np.float64), drift_m)
     return nodes[kept], off[kept]
+
+
+def under_planes(nodes: Float, filled: Mask, doubtful: Mask) -> Mask:
+    """Nodes of few returns far below the plane of the ground around: (n,) bool.
+
+    Noise that is left below a crown takes the place of the ground among the lowest returns of a
+    cell. It is compared with the nearest well-filled nodes, then, if many returns lie above it in
+    its cell, with all that are left. Where single returns are all that there is, as in sparse
+    surveys, none is judged.
+
+    Parameters
+    ----------
+    nodes : (n, 3) float64
+        Nodes of the ground [m].
+    filled : (n,) bool
+        Those of several returns in the lowest layer.
+    doubtful : (n,) bool
+        Those of one or two returns below many others in the same cell.
+    """
+    found = _far_below(nodes, filled, ~filled)
+    return found | _far_below(nodes, ~found, doubtful & ~found)
+
+
+def _far_below(nodes: Float, known: Mask, asked: Mask) -> Mask:
+    """Nodes far below the plane of known ones around, for what these scatter about it."""
+    out = np.zeros(len(nodes), np.bool_)
+    index, judged = np.flatnonzero(known), np.flatnonzero(asked)
+    if len(index) > NEAREST and len(judged):
+        near = cKDTree(nodes[index, :2]).query(nodes[judged, :2], NEAREST)[1]
+        out[judged] = _below_planes(nodes, judged, index[near])
+    return out
+
+
+@njit()
+def _below_planes(nodes: Float, judged: Index, around: Index) -> Mask:
+    """Which nodes lie far below the planes of others: (m,) bool."""
+    out, weight = np.zeros(len(judged), np.bool_), np.ones(len(nodes))
+    for k, i in enumerate(judged):
+        weight[i] = 0.0
+        counted, above, _, scatter = _plane(nodes, around[k], weight, i, 0.0, 0.0)
+        weight[i] = 1.0
+        out[k] = counted >= LEAST and -above > max(NOISE_M, ABOVE * scatter)
+    return out
 
 
 def nearest_nodes(nodes: Float) -> Index:
@@ -118,7 +165,7 @@ def above_planes(nodes: Float, around: Index, weight: Float, drift_m: Float) -> 
 @njit()
 def goes_on(
     nodes: Float, around: Index, weight: Float, drift_m: Float, spread_m: Float, asked: Index
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Whether a plane through the nodes of one side goes on to a node, or above it.
 
     Parameters
@@ -139,14 +186,14 @@ def goes_on(
     for k, i in enumerate(asked):
         flat_m = FLAT * spread_m[i], FLAT * drift_m[i]
         above_m = ABOVE * spread_m[i], 0.0
-        found[k] = on_one_side(nodes, around[i], weight, i, above_m, flat_m, (0.0, np.inf))
+        found[k] = on_one_side(nodes, around[i], weight, i, above_m, flat_m, (0.0, np.inf), 0.0)
     return found
 
 
 @njit()
 def on_one_side(
     nodes: Float, around: Index, weight: Float, i: int,
-    above_m: Range, scatter_m: Range, slopes: Range,
+    above_m: Range, scatter_m: Range, slopes: Range, wall_m: float,
 ) -> bool:  # fmt: skip
     """Whether a plane through the nodes of one side goes on to one node, or above it.
 
@@ -163,20 +210,21 @@ def on_one_side(
         ground, and more for each unit of slope [m].
     slopes : (float, float)
         Least and largest slope of the plane [rise/run].
+    wall_m : float
+        Nor may it lie farther above the plane of the opposite side, where there is one, unless by
+        so much: a shrub on a slope is above both, a crest above none, a rim far above one [m].
     """
+    fits, denied = np.zeros(SIDES, np.bool_), np.zeros(SIDES, np.bool_)
     for side in range(SIDES):
         turn = 2.0 * np.pi * side / SIDES
         counted, above, slope, scatter = _plane(
             nodes, around, weight, i, np.cos(turn), np.sin(turn)
         )
-        if (
-            counted >= LEAST
-            and scatter <= scatter_m[0] + scatter_m[1] * slope
-            and above <= above_m[0] + above_m[1] * slope
-            and slopes[0] <= slope <= slopes[1]
-        ):
-            return True
-    return False
+        if counted >= LEAST and scatter <= scatter_m[0] + scatter_m[1] * slope:
+            limit_m = above_m[0] + above_m[1] * slope
+            fits[side] = above <= limit_m and slopes[0] <= slope <= slopes[1]
+            denied[side - SIDES // 2] = limit_m < above < wall_m
+    return bool((fits & ~denied).any())
 
 
 @njit()
@@ -194,7 +242,7 @@ def _plane(
         )
         if one_side and (j == i or x * east + y * north < 0.0):
             continue
-        w = weight[j] * np.exp(-(x * x + y * y) / REACH_M**2)
+        w = weight[j] * np.exp(-(x * x + y * y) / PLANE_REACH_M**2)
         total += w
         mx, my, mz = mx + w * x, my + w * y, mz + w * z
         xx, xy, yy = xx + w * x * x, xy + w * x * y, yy + w * y * y

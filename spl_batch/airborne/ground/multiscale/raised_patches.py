@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from spl_batch.airborne.ground.multiscale.grown_ground import steps_to_wall
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.nearest_cells import nearest_cells
 
@@ -28,7 +29,7 @@ DOMAIN: Final = "space"
 SQUARE_M: Final = 2.0
 """Edge of the squares, if cells are no larger [m]."""
 
-REACH_M: Final = 40.0
+WALL_REACH_M: Final = 40.0
 """How far off a wall is looked for [m]."""
 
 WALL_M: Final = 2.0
@@ -119,28 +120,9 @@ def _keep_walled(surface: Grid, towards: Grid, steps: Index, found: Mask) -> Non
             for k in range(len(steps)):
                 if not found[r, c]:
                     break
-                left -= not _ends_in_wall(surface, r, c, towards[k, 0], towards[k, 1], steps[k])
+                north, east = towards[k]
+                left -= not steps_to_wall(surface, r, c, north, east, 1, steps[k], WALL_M)
                 found[r, c] = left >= 0
-
-
-@njit()
-def _ends_in_wall(
-    surface: Grid, row: int, column: int, north: float, east: float, steps: int
-) -> bool:
-    """Whether the surface falls by a wall on the way from a square, before it rises by one."""
-    rows, columns = surface.shape
-    top = last = surface[row, column]
-    for k in range(1, steps + 1):
-        r, c = row + int(np.rint(k * north)), column + int(np.rint(k * east))
-        if r < 0 or c < 0 or r >= rows or c >= columns:
-            return False
-        here = surface[r, c]
-        if here <= min(top, last) - WALL_M:
-            return True
-        if here >= top + WALL_M:
-            return False
-        last = here
-    return False
 
 
 def _between_walls(surface: Grid, reach: int) -> Mask:
@@ -180,7 +162,7 @@ def _buildings(lowest: Grid, edge_m: float) -> Iterator[tuple[tuple[slice, ...],
     if not held.any():
         return
     surface = lowest[nearest_cells(held)]
-    numbers, _ = ndimage.label(walled_in(surface, round(REACH_M / edge_m)))
+    numbers, _ = ndimage.label(walled_in(surface, round(WALL_REACH_M / edge_m)))
     for number, box in enumerate(ndimage.find_objects(numbers), start=1):
         near = tuple(slice(max(side.start - 2, 0), side.stop + 2) for side in box)
         mine, heights = numbers[near] == number, surface[near]
