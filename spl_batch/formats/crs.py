@@ -18,7 +18,7 @@ from rasterio.errors import RasterioError, RasterioIOError
 from rasterio.io import MemoryFile
 
 from spl_batch.errors import WorkflowError
-from spl_batch.formats.units import Units, metres_in
+from spl_batch.formats.units import METRE, US_FOOT, Units, metres_in
 
 WKT_KEY: Final = ("LASF_Projection", 2112)
 GEO_KEYS: Final = (
@@ -33,6 +33,9 @@ _VERTICAL_UNIT_KEY: Final = 4099
 _LINEAR_UNIT_KEY: Final = 3076
 _METRE: Final = 9001
 """GeoTIFF keys of heights and of lengths, and the code of metres [OGC 19-008r4, B.4]."""
+
+_SHORT: Final = {"foot": "ft", US_FOOT: "ftUS", METRE: "m"}
+"""Units as names of EPSG's vertical CRS have them."""
 
 NAMELESS: Final = ("", "unknown")
 """Names that GDAL gives to a vertical CRS of which keys have the unit only."""
@@ -113,15 +116,13 @@ def crs_from_geotiff(directory: bytes, doubles: bytes, text: bytes) -> CRS | Non
     if found is not None and _above_ellipsoid(_entries(directory)):
         return horizontal(found).to_3d()
     heights = None if found is None else vertical(found)
-    if found is None or not Units.of(found).are_metres:
-        return found
-    if heights is not None and heights.to_epsg():
+    if found is None or (heights is not None and heights.name not in NAMELESS):
         return found
     named = _named_heights(_entries(directory))
-    if named is not None:  # GDAL leaves it out beside a local CRS
+    if named is not None:  # GDAL leaves it out beside a local CRS, and beside a unit
         return compound(found, named)
     # A unit of heights alone names no vertical CRS.
-    return horizontal(found) if heights is not None and heights.name in NAMELESS else found
+    return horizontal(found) if heights is not None and Units.of(found).are_metres else found
 
 
 def _entries(directory: bytes) -> NDArray[np.uint16]:
@@ -131,12 +132,18 @@ def _entries(directory: bytes) -> NDArray[np.uint16]:
 
 def _in_own_unit(local: CRS, entries: NDArray[np.uint16]) -> CRS:
     """A local CRS in the unit that its keys name, which GDAL takes for metres."""
-    codes = {str(code) for code in entries[1:][entries[1:, 0] == _LINEAR_UNIT_KEY, 3]}
+    name, metres = _unit(entries, _LINEAR_UNIT_KEY)
+    if metres == 1.0:
+        return local
+    return CRS.from_wkt(f'LOCAL_CS["{local.name}",UNIT["{name}",{metres!r}]]')
+
+
+def _unit(entries: NDArray[np.uint16], key: int) -> tuple[str, float]:
+    """Unit of lengths that a key names, and the metres in it; metres without one."""
+    codes = {str(code) for code in entries[1:][entries[1:, 0] == key, 3]}
     units = get_units_map(auth_name="EPSG", category="linear").items()
-    for name, unit in units:
-        if unit.code in codes - {str(_METRE)}:
-            return CRS.from_wkt(f'LOCAL_CS["{local.name}",UNIT["{name}",{unit.conv_factor!r}]]')
-    return local
+    name = next((name for name, unit in units if unit.code in codes), METRE)
+    return name, metres_in(name) or 1.0
 
 
 def _above_ellipsoid(entries: NDArray[np.uint16]) -> bool:
@@ -146,13 +153,24 @@ def _above_ellipsoid(entries: NDArray[np.uint16]) -> bool:
 
 
 def _named_heights(entries: NDArray[np.uint16]) -> CRS | None:
-    """Vertical CRS by its code, if keys have one."""
+    """Vertical CRS by its code, if keys have one, in the unit of heights that they state."""
     codes = entries[1:][entries[1:, 0] == _VERTICAL_CRS_KEY, 3].tolist()
     try:
         found = CRS.from_epsg(codes[0]) if codes else None
     except CRSError:
         return None
-    return found if found is not None and found.is_vertical else None
+    if found is None or not found.is_vertical:
+        return None
+    name, metres = _unit(entries, _VERTICAL_UNIT_KEY)
+    stated = bool((entries[1:, 0] == _VERTICAL_UNIT_KEY).any())
+    if not stated or Units.of(found).vertical_m == metres:
+        return found
+    content = found.to_json_dict()
+    del content["id"]
+    content["name"] += f" ({_SHORT.get(name, name)})"
+    unit = {"type": "LinearUnit", "name": name, "conversion_factor": metres}
+    content["coordinate_system"]["axis"][0]["unit"] = unit
+    return CRS.from_json_dict(content)
 
 
 def _with_heights_unit(directory: bytes) -> bytes:

@@ -16,6 +16,7 @@ from spl_batch.formats.crs import (
     heights_ratio,
     other_heights,
     same_crs,
+    same_heights,
     stretch_problem,
     vertical,
     with_vertical,
@@ -136,6 +137,17 @@ def test_heights_of_geotiff_keys_are_in_the_unit_that_they_state(
     assert vertical(named).to_epsg() == 6360
     with pytest.raises(WorkflowError):
         with_vertical(crs, "EPSG:5703", "survey.vertical_crs")
+
+
+@pytest.mark.parametrize(("unit", "code", "name"), [(9002, 8228, "ft"), (9003, 6360, "ftUS")])
+def test_a_vertical_crs_of_geotiff_keys_keeps_its_name_in_their_unit(
+    unit: int, code: int, name: str
+) -> None:
+    for flat in ((3072, 32615), (3072, 2278)):
+        heights = vertical(_keys((1024, 1), flat, (4096, 5703), (4099, unit)))
+        assert heights.name == f"NAVD88 height ({name})"
+        assert heights.datum.name == "North American Vertical Datum 1988"
+        assert same_heights(heights, CRS.from_epsg(code))
 
 
 @pytest.mark.parametrize(("unit", "name"), [(9001, "metre"), (9002, "foot"), (9003, US_FOOT)])
