@@ -54,7 +54,12 @@ class Units:
     @property
     def of_heights(self) -> tuple[str, float]:
         """Unit of heights as pages write it, and the metres in it."""
-        return "ft" if self.vertical.endswith("foot") else self.vertical, self.vertical_m
+        return _written(self.vertical), self.vertical_m
+
+    @property
+    def of_places(self) -> tuple[str, float]:
+        """Unit of eastings and northings as pages write it, and the metres in it."""
+        return _written(self.horizontal), self.horizontal_m
 
     def of_values(self, unit: str) -> tuple[str, float]:
         """Unit in which a raster's values [``unit``] are delivered, and ``unit`` in one of it."""
@@ -64,6 +69,10 @@ class Units:
     def metres(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
         """Places of the CRS, (n, 2 or 3), in metres."""
         return places if self.are_metres else places * self.xyz_m[: places.shape[1]]
+
+
+def _written(name: str) -> str:
+    return "ft" if name.endswith("foot") else "m" if name == METRE else name
 
 
 METRES: Final = Units()

@@ -15,6 +15,7 @@ from spl_batch.engine.findings import Finding, of_receipts, settled, table
 from spl_batch.engine.report.reported import reported, texts
 from spl_batch.engine.settings.base import ReportSettings
 from spl_batch.engine.tasks.task import Receipt
+from spl_batch.formats.units import Units
 
 ROOT = Path(spl_batch.__path__[0])
 
@@ -63,7 +64,12 @@ def test_notes_are_in_no_report() -> None:
 def test_a_place_is_in_the_sentence() -> None:
     (one,) = reported([Finding("I06", {"what": "odd"}, place=(10.2, 20.0, 30.0, 40.0))])
     assert one.place == (10.2, 20.0, 30.0, 40.0)
-    assert "x 10 to 30" in one.sentence
+    assert "x 10 to 30 and y 20 to 40 m" in one.sentence
+    foot = Units("foot", 0.3048, "foot", 0.3048)
+    places = (304.8, 609.6, 304.8, 609.6)
+    (one,) = reported([Finding("I06", {"what": "odd"}, place=places)], units=foot)
+    assert one.place == places
+    assert one.sentence.endswith("x 1 000 to 1 000 and y 2 000 to 2 000 ft")
 
 
 def test_findings_of_receipts_are_of_what_a_task_worked_on() -> None:

@@ -7,10 +7,15 @@ from typing import Any, Final
 from spl_batch.engine.findings import Box, Finding, settled, table
 from spl_batch.engine.report.parts import FindingReport
 from spl_batch.errors import counted, grouped, named
+from spl_batch.formats.units import METRES, Units
 
 
 def reported(
-    findings: Iterable[Finding], ignored: Collection[str] = (), *, notes: bool = False
+    findings: Iterable[Finding],
+    ignored: Collection[str] = (),
+    *,
+    notes: bool = False,
+    units: Units = METRES,
 ) -> tuple[FindingReport, ...]:
     """Findings of a report, alike ones as one.
 
@@ -25,13 +30,15 @@ def reported(
         Codes that are left out (``report.ignore``).
     notes : bool
         Whether notes for the operator are wanted, too.
+    units : Units
+        What sentences give places in.
     """
     alike: dict[tuple[str, object, object], list[Finding]] = {}
     for one in settled(findings, ignored):
         if notes or table()[one.code].severity != "note":
             key = one.code, one.values.get("kind"), one.values.get("what")
             alike.setdefault(key, []).append(one)
-    return tuple(map(_as_one, alike.values()))
+    return tuple(_as_one(some, units) for some in alike.values())
 
 
 def texts(findings: Iterable[Finding]) -> tuple[str, ...]:
@@ -39,7 +46,7 @@ def texts(findings: Iterable[Finding]) -> tuple[str, ...]:
     return tuple(one.text for one in reported(findings, notes=True))
 
 
-def _as_one(alike: list[Finding]) -> FindingReport:
+def _as_one(alike: list[Finding], units: Units) -> FindingReport:
     worst = max(alike, key=lambda one: one.badness or 0.0)
     ordered = sorted(alike, key=lambda one: -(one.badness or 0.0))
     subjects = tuple(dict.fromkeys(one.subject for one in ordered if one.subject))
@@ -49,7 +56,7 @@ def _as_one(alike: list[Finding]) -> FindingReport:
         _WORDS.vformat(text, (), worst.values) for text in (template, code.consequence, code.remedy)
     )
     if worst.place is not None:
-        sentence = f"{sentence}, {_within(worst.place)}"
+        sentence = f"{sentence}, {_within(worst.place, units)}"
     return FindingReport(
         code=worst.code,
         severity=code.severity,
@@ -74,9 +81,10 @@ def _subject(subjects: Sequence[str], noun: str, *, graded: bool) -> str:
     return f"{listed}, at worst {subjects[0]}" if graded else listed
 
 
-def _within(place: Box) -> str:
-    west, south, east, north = (grouped(round(side)) for side in place)
-    return f"within x {west} to {east} and y {south} to {north} m"
+def _within(place: Box, units: Units) -> str:
+    name, unit_m = units.of_places
+    west, south, east, north = (grouped(round(side / unit_m)) for side in place)
+    return f"within x {west} to {east} and y {south} to {north} {name}"
 
 
 class _Words(Formatter):
