@@ -85,9 +85,15 @@ class Geoid:
         WorkflowError
             If what is named is no vertical CRS in the unit of the survey's heights.
         """
-        if vertical_crs is None:
-            return self._flat
         key, unit = "outputs.geoid.crs", self._units.vertical
+        if vertical_crs is None:
+            eastings = self._units.horizontal
+            if unit != eastings:
+                raise WorkflowError(
+                    f"{key}: heights are in {unit}, eastings in {eastings}: name a vertical CRS, "
+                    "so that files state the unit of heights above the geoid"
+                )
+            return self._flat
         found = with_vertical(self._flat, vertical_crs, key)
         if Units.of(found).vertical != unit:
             raise WorkflowError(f"{key}: {vertical_crs} is not in {unit}, as heights are; name one")

@@ -32,9 +32,9 @@ from spl_batch.formats.crs import (
 from spl_batch.formats.las.chunks import LASZIP_KEY, RecordReader
 from spl_batch.formats.las.frame import Frame, preamble, wkt_vlr, write_laz
 from spl_batch.formats.las.header import WKT_BIT, read_header
-from spl_batch.formats.las.records import EXTRA_BYTES_KEY
+from spl_batch.formats.las.records import EXTRA_BYTES_KEY, HEIGHT, added
 from spl_batch.formats.rasters.geotiff import write_cog
-from spl_batch.formats.rasters.parts import opened
+from spl_batch.formats.rasters.parts import RasterPart, opened
 from spl_batch.formats.units import Units
 
 KEY: Final = "outputs.crs"
@@ -80,7 +80,7 @@ class Reprojection:
             )
         self.crs = named if wanted is not None or mine is None else compound(named, mine)
         self._to, self._survey = Units.of(self.crs), survey
-        #: Units of the target's heights in one of the survey's, where no datum changes.
+        #: Units of the target's heights in one of the survey's.
         self._ratio = Units.of(survey).vertical_m / self._to.vertical_m
         self._flat = Transformer.from_crs(horizontal(survey), horizontal(named), always_xy=True)
         self._whole: Transformer | None = None
@@ -125,13 +125,18 @@ class Reprojection:
         return np.column_stack([x, y, z * self._ratio])
 
     def cloud(self, src: Path, dst: Path) -> int:
-        """Write a delivered cloud to a thousandth of the unit, all dimensions kept; its points."""
+        """Write a delivered cloud to a thousandth of the unit, all dimensions kept; its points.
+
+        Heights above ground are in the target's unit.
+        """
         header = read_header(src)
         dropped = {LASZIP_KEY, EXTRA_BYTES_KEY, WKT_KEY, *GEO_KEYS}
         corners = self.places(np.array([header.mins_m, header.maxs_m], np.float64))
         offsets = np.floor(corners.mean(axis=0) / 1000.0) * 1000.0 if header.n_points else [0.0] * 3
         offset_x, offset_y, offset_z = map(float, offsets)
         with RecordReader(header) as reader:
+            ours = added(HEIGHT).descriptor
+            above = [one.field for one in reader.layout.extra if one.descriptor == ours]
             frame = Frame(
                 preamble=preamble(header.raw, header.global_encoding | WKT_BIT),
                 scales=(QUANTUM_M,) * 3,
@@ -152,6 +157,8 @@ class Reprojection:
                     records = given.copy()
                     for axis, values in zip("XYZ", steps.T, strict=True):
                         records[axis] = values
+                    for field in above:
+                        records[field] *= np.float32(self._ratio)
                     yield records
 
             return write_laz(dst, frame, chunks())
@@ -202,7 +209,7 @@ class Reprojection:
             at = np.meshgrid(col + np.arange(cols) + 0.5, row + np.arange(rows) + 0.5)
             there = place.c + at[0] * place.a, place.f + at[1] * place.e
             x, y = self._flat.transform(*there, direction=TransformDirection.INVERSE)
-            values = _sampled(source, (x - mine.c) / mine.a, (y - mine.f) / mine.e)
+            values = _sampled(source, x, y)
             if above_datum and self._whole is not None:
                 known = np.isfinite(values)
                 xyz = np.column_stack([x[known], y[known], values[known]])
@@ -212,28 +219,18 @@ class Reprojection:
             yield row, col, np.where(np.isnan(values), NODATA, values).astype(np.float32)
 
 
-def _sampled(source: Any, col: Places, row: Places) -> Places:
-    """Values at places in cells from the upper left corner, (n, m) each; NaN where void.
-
-    Void where the cell is; beside voids the cell's own value.
-    """
-    out = np.full(col.shape, np.nan)
-    near_col, near_row = np.floor(col), np.floor(row)
-    held = (
-        (near_col >= 0) & (near_col < source.width) & (near_row >= 0) & (near_row < source.height)
-    )
-    if not held.any():
+def _sampled(source: Any, x: Places, y: Places) -> Places:
+    """Values of a raster at places of its CRS, (n, m) each; NaN where void."""
+    place, out = source.transform, np.full(x.shape, np.nan)
+    col, row = (x - place.c) / place.a, (y - place.f) / place.e
+    there = (col >= 0) & (col <= source.width) & (row >= 0) & (row <= source.height)
+    if not there.any():
         return out
-    u, v = col[held] - 0.5, row[held] - 0.5
-    left, top = int(np.floor(u.min())), int(np.floor(v.min()))
-    window = Window(left, top, int(np.floor(u.max())) + 2 - left, int(np.floor(v.max())) + 2 - top)
-    cells = source.read(1, window=window, boundless=True, fill_value=source.nodata)
-    cells = np.where(cells == source.nodata, np.nan, cells.astype(np.float64))
-    c, r = np.floor(u).astype(int) - left, np.floor(v).astype(int) - top
-    fu, fv = u - np.floor(u), v - np.floor(v)
-    upper = cells[r, c] * (1 - fu) + cells[r, c + 1] * fu
-    lower = cells[r + 1, c] * (1 - fu) + cells[r + 1, c + 1] * fu
-    mean = upper * (1 - fv) + lower * fv
-    own = cells[near_row[held].astype(int) - top, near_col[held].astype(int) - left]
-    out[held] = np.where(np.isnan(own) | np.isnan(mean), own, mean)
+    # A cell more on each side, as far as there is one.
+    left, top = (max(int(one[there].min()) - 1, 0) for one in (col, row))
+    right, bottom = (int(one[there].max()) + 2 for one in (col, row))
+    sides = min(right, source.width) - left, min(bottom, source.height) - top
+    cells = source.read(1, window=Window(left, top, *sides))
+    part = RasterPart(cells, *(place * (left, top)), place.a)
+    out[there] = part.sampled(np.column_stack([x[there], y[there]]))
     return out

@@ -10,6 +10,7 @@ from pyproj import CRS, Transformer
 
 from spl_batch.constants import FOOT_M, NODATA, QUANTUM_M
 from spl_batch.errors import WorkflowError
+from spl_batch.formats.crs import compound
 from spl_batch.formats.geoid import Geoid
 from spl_batch.formats.las.reader import inspect, iter_points
 from spl_batch.formats.las.writer import write_points
@@ -106,19 +107,30 @@ def test_a_geoid_below_a_survey_in_feet(tmp_path: Path) -> None:
     assert Units.of(geoid.crs_above("EPSG:6360")).vertical == US_FOOT
     with pytest.raises(WorkflowError, match="is not in US survey foot"):
         geoid.crs_above("EPSG:5703")
+    heights = 'VERT_CS["Ellipsoid (metre)",VERT_DATUM["Ellipsoid",2002],UNIT["metre",1]]'
+    mixed = Geoid(name, tmp_path / name, compound(feet, CRS.from_wkt(heights)))
+    assert Units.of(mixed.crs_above("EPSG:5703")).vertical_m == 1.0
+    with pytest.raises(WorkflowError, match="heights are in metre, eastings in US survey foot"):
+        mixed.crs_above(None)
 
 
 def test_clouds_and_rasters_in_another_crs(tmp_path: Path) -> None:
     utm, texas = CRS.from_user_input("EPSG:32615+5703"), CRS.from_user_input(TEXAS)
     moved = Reprojection(utm, TEXAS)
-    path = surveys.write_cloud(tmp_path / "a.laz", surveys.flightline(shots=20), crs=utm.srs)
+    cloud = surveys.write_cloud(tmp_path / "cloud.laz", surveys.flightline(shots=20))
+    (table,) = iter_points(cloud, channel_dimension="channel", source=1)
+    heights = np.linspace(0.0, 30.0, len(table), dtype=np.float32)
+    path = tmp_path / "a.laz"
+    write_points(path, table.with_columns(HeightAboveGround=heights), crs=utm)
     before = laspy.read(path)
     assert moved.cloud(path, tmp_path / "b.laz") == len(before)
     after = laspy.read(tmp_path / "b.laz")
     assert after.header.parse_crs().equals(texas)
     there = Transformer.from_crs(utm, texas, always_xy=True).transform(*before.xyz.T)
     np.testing.assert_allclose(after.xyz.T, there, atol=5.1e-4)
-    for name in {*before.point_format.dimension_names} - {*"XYZ"}:
+    above = np.asarray(before["HeightAboveGround"]) / US_M
+    np.testing.assert_allclose(after["HeightAboveGround"], above, rtol=1e-6)
+    for name in {*before.point_format.dimension_names} - {*"XYZ", "HeightAboveGround"}:
         np.testing.assert_array_equal(before[name], after[name], name)
 
     plane = np.add.outer(-0.5 * np.arange(40), 0.25 * np.arange(60)).astype(np.float32) + 90

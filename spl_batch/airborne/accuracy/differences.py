@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from spl_batch.airborne.accuracy.error_tally import STEPS_PER_M
-from spl_batch.airborne.accuracy.raster_and_reference import Grid, Raster, Reference, known
+from spl_batch.airborne.accuracy.raster_and_reference import Raster, Reference
 from spl_batch.constants import CLASS_BUILDING, CLASS_GROUND, CLASS_WATER
+from spl_batch.formats.rasters.parts import Grid, known
 from spl_batch.numerics.nearest_cells import distances
 
 OPEN_M: Final = 2.0

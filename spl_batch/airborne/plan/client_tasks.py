@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import shapely
 
-from spl_batch.airborne.plan.space_tasks import aligned, knows_reflectance
+from spl_batch.airborne.plan.space_tasks import aligned, delivered_rasters, knows_reflectance
 from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_bounds
 from spl_batch.airborne.plan.task_memory import refusal
 from spl_batch.airborne.products.product_table import HEIGHTS, products
@@ -23,10 +23,7 @@ def client_tiles(survey: Survey) -> Iterator[Task]:
     delivered, indexed = survey.of("deliver_file"), survey.of("index_file")
     boxes = {key: indexed[key].facts["bounds"] for key in delivered}
     index = BoxIndex({key: Bounds(b[0], b[1], b[3] + 1, b[4] + 1) for key, b in boxes.items() if b})
-    made = [(kind, name, r) for kind in ("mosaic", "deliver_geoid")
-            for name, r in sorted(survey.of(kind).items())]  # fmt: skip
-    rasters = [n for *_, r in made for n in r.outputs if "store/" not in n]
-    of_rasters = [(kind, name) for kind, name, _ in made]
+    rasters, of_rasters = delivered_rasters(survey)
     for one in survey.inputs.areas:
         low_x, low_y, high_x, high_y = (QUANTA_PER_M * end for end in shapely.bounds(one.shape))
         bounds = Bounds(math.floor(low_x), math.floor(low_y), math.ceil(high_x), math.ceil(high_y))

@@ -162,6 +162,7 @@ def deliver(survey: Survey) -> Iterator[Task]:
     for tile in survey.counts:
         for source in built[str(tile)].facts["sources"]:
             tiles_of.setdefault(source, []).append(tile)
+    outside = int("outside" in survey.workflow.outputs.drop)
     for source in survey.inputs.sources:
         key = str(source.key)
         receipt = survey.of("index_file").get(key)
@@ -177,6 +178,7 @@ def deliver(survey: Survey) -> Iterator[Task]:
             "tiles": tiles,
             "copies": [tile for tile in tiles if built[tile].facts["copies"]],
             "spans": receipt.facts["spans"],
+            "aoi": outside * survey.inputs.checksums("aoi"),
         }
         needs = [("build_tile", tile) for tile in tiles]
         margin = terrain_margin_q(survey.workflow)
@@ -306,13 +308,12 @@ def catalogue(survey: Survey) -> Iterator[Task]:
     if not survey.workflow.outputs.catalogue or not delivered:
         return
     twins = survey.of("deliver_copc")
-    made_of = ("mosaic", "deliver_geoid")
-    rasters = [(kind, name, r) for kind in made_of for name, r in sorted(survey.of(kind).items())]
+    rasters, of_rasters = delivered_rasters(survey)
     clouds = {key: _cloud(survey, key, key in twins) for key in sorted(delivered)}
     checkpoints = survey.of("checkpoints")
     args = {
         "clouds": list(clouds.values()),
-        "rasters": [n for *_, r in rasters for n in r.outputs if "store/" not in n],
+        "rasters": rasters,
         "flightlines": list(_flightlines(survey, clouds)),
         "checkpoints": [one for r in checkpoints.values() for one in r.facts["checkpoints"]],
         "cells": sorted(survey.of("surface")),
@@ -320,11 +321,19 @@ def catalogue(survey: Survey) -> Iterator[Task]:
     needs = (
         *(("deliver_file", key) for key in clouds),
         *(("deliver_copc", key) for key in sorted(twins)),
-        *((kind, name) for kind, name, _ in rasters),
+        *of_rasters,
         *(("checkpoints", name) for name in sorted(checkpoints)),
         *(("surface", name) for name in sorted(survey.of("surface"))),
     )
     yield Task("deliver_catalogue", "all", args, needs)
+
+
+def delivered_rasters(survey: Survey) -> tuple[list[str], list[Need]]:
+    """Names of rasters below the output, and the tasks that make them."""
+    made = [(kind, name, r) for kind in ("mosaic", "deliver_geoid")
+            for name, r in sorted(survey.of(kind).items())]  # fmt: skip
+    names = [n for *_, r in made for n in r.outputs if "store/" not in n]
+    return names, [(kind, name) for kind, name, _ in made]
 
 
 def _cloud(survey: Survey, key: str, as_copc: bool) -> dict[str, Any]:  # noqa: FBT001 - one caller

@@ -52,8 +52,8 @@ class Workflow(BaseWorkflow):
     water: str | None = Field(None, description="Polygons of water, any vector format.")
     breaklines: str | None = Field(
         None,
-        description="Lakes and rivers with heights [m] that the terrain model is flattened by: "
-        "polygons and, in rivers, lines, any vector format.",
+        description="Lakes and rivers with heights, in the survey's unit, that the terrain "
+        "model is flattened by: polygons and, in rivers, lines, any vector format.",
     )
     aoi: str | None = Field(None, description="Polygons of the area of interest.")
 

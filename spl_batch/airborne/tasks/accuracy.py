@@ -23,7 +23,7 @@ from spl_batch.airborne.accuracy.error_tally import (
     add_up,
     tallies,
 )
-from spl_batch.airborne.accuracy.raster_and_reference import Grid, Raster, Reference
+from spl_batch.airborne.accuracy.raster_and_reference import Raster, Reference
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.store.flown_lines import read_shifts
 from spl_batch.airborne.store.label_tables import read_region, units_of
@@ -34,7 +34,7 @@ from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.store.working_store import forget_receipt
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.errors import DamagedError
-from spl_batch.formats.rasters.parts import RasterPart, overview_frame
+from spl_batch.formats.rasters.parts import Grid, RasterPart, overview_frame
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds, inside, overlap, parse_cell, quanta

@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from rasterio.transform import Affine
 from rasterio.windows import Window
 
 from spl_batch.airborne.catalogue.catalogues import Layer, write_layers
@@ -27,7 +28,6 @@ from spl_batch.formats.named_areas import lies_in
 from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.formats.rasters.parts import opened, place_m
 from spl_batch.formats.reprojection import KEY, Reprojection
-from spl_batch.formats.units import metres_in
 from spl_batch.formats.verified.parquet_npz import read_arrays
 
 BLOCK: Final = 1024
@@ -105,7 +105,6 @@ def _cut_raster(source: Path, target: Path, area: shapely.Geometry) -> bool:
     """Cells of a raster whose centres lie in an area; whether there are any."""
     with opened(source) as model:
         (left_m, top_m, cell_m), (rows, columns) = place_m(model), model.shape
-        unit_m = metres_in(model.units[0] or "")
         west, south, east, north = shapely.bounds(area).tolist()
         first_col = max(math.floor((west - left_m) / cell_m + EVEN), 0)
         last_col = min(math.ceil((east - left_m) / cell_m - EVEN), columns)
@@ -121,9 +120,7 @@ def _cut_raster(source: Path, target: Path, area: shapely.Geometry) -> bool:
                     y = top_m - (row + np.arange(size[1]) + 0.5) * cell_m
                     x, y = np.meshgrid(x * QUANTA_PER_M, y * QUANTA_PER_M)
                     inside = lies_in(area, x.ravel(), y.ravel()).reshape(values.shape)
-                    inside &= values != np.float32(NODATA)
-                    # 64 bits until they are in the file's unit again: no value changes.
-                    kept = np.where(inside, values * np.float64(unit_m or 1.0), NODATA)
+                    kept = np.where(inside, values, np.float32(NODATA))
                     yield row - first_row, col - first_col, kept
 
         if not any((values != NODATA).any() for *_, values in blocks()):
@@ -132,11 +129,10 @@ def _cut_raster(source: Path, target: Path, area: shapely.Geometry) -> bool:
             target,
             blocks(),
             shape=(last_row - first_row, last_col - first_col),
-            origin_xy_m=(left_m + first_col * cell_m, top_m - first_row * cell_m),
-            cell_m=cell_m,
+            place=model.transform * Affine.translation(first_col, first_row),
             crs=model.crs.to_wkt() if model.crs else None,
             description=model.descriptions[0] or source.name,
-            unit=model.units[0] or "" if unit_m is None else "m",
+            unit=model.units[0] or "",
         )
     return True
 

@@ -6,7 +6,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.accuracy.raster_and_reference import Raster
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.store.raster_cells import stored_blocks
@@ -19,9 +18,16 @@ from spl_batch.constants import (
     QUANTUM_M,
 )
 from spl_batch.engine.store.working_store import read_receipt
+from spl_batch.formats.las.header import LasHeader
+from spl_batch.formats.las.reader import coordinate
 from spl_batch.formats.las.writer import KEEP_BUT_GROUND
+from spl_batch.formats.rasters.parts import RasterPart
+from spl_batch.formats.vector_files import contains, read_polygons
 from spl_batch.lattice.tables import PointFlag, PointTable
 from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds, cells_touching, grow, quanta
+
+IN_NO_TILE: Final = 255
+"""Flags of points that nothing has looked at: those that the input withholds or calls noise."""
 
 PLACE: Final = ("x", "y", "z")
 """Columns that a height above the terrain is computed from."""
@@ -60,10 +66,9 @@ class Terrain:
         rasters = self._context.rasters
         for row, col, block in stored_blocks(rasters, "dtm", bounds, cells, ground_cell=self._edge):
             heights[row : row + block.shape[0], col : col + block.shape[1]] = block
-        terrain = Raster(heights, west * QUANTUM_M, bounds.ymax * QUANTUM_M, pixel * QUANTUM_M)
-        xy_m = np.column_stack([table["x"], table["y"]]) * QUANTUM_M
-        surface = terrain.bilinear(xy_m)
-        surface = np.where(np.isnan(surface), terrain.at(xy_m), surface)
+        corner_m = west * QUANTUM_M, bounds.ymax * QUANTUM_M
+        terrain = RasterPart(heights, *corner_m, pixel * QUANTUM_M)
+        surface = terrain.sampled(np.column_stack([table["x"], table["y"]]) * QUANTUM_M)
         above = (table["z"] * QUANTUM_M - surface) / self._context.units.vertical_m
         found: NDArray[np.float32] = above.astype(np.float32)
         return found
@@ -92,7 +97,12 @@ def gone(
 class Dropping:
     """Which records of a file are written, and a count of the others by reason."""
 
-    def __init__(self, kinds: Sequence[str], points: int) -> None:
+    def __init__(
+        self, kinds: Sequence[str], points: int, header: LasHeader, context: Context
+    ) -> None:
+        aoi = context.workflow.aoi if "outside" in kinds else None
+        self._area = None if aoi is None else read_polygons(context.resolve(aoi), context.crs)
+        self._header, self._units = header, context.units
         self.counts = dict.fromkeys(kinds, 0)
         chunks = -(-points // CHUNK_POINTS)
         self.kept = np.zeros(chunks, np.int64)  #: Of each chunk of the index [count].
@@ -103,10 +113,10 @@ class Dropping:
         self, records: NDArray[Any], labels: Mapping[str, NDArray[Any]]
     ) -> NDArray[np.bool_]:
         """Of records that follow those before, by the first reason that holds: (n,) bool."""
-        left = np.ones(len(records), np.bool_)
+        left, flags = np.ones(len(records), np.bool_), self._flags(records, labels["flags"])
         for kind in self.counts:
             mine = left & gone(
-                kind, records["classification"], records["classification_flags"], labels["flags"]
+                kind, records["classification"], records["classification_flags"], flags
             )
             self.counts[kind] += int(np.count_nonzero(mine))
             left &= ~mine
@@ -116,6 +126,15 @@ class Dropping:
         copied = labels["copied"] & (labels["classification"] < KEEP_BUT_GROUND) & ~left
         self.copied += np.bincount(labels["classification"][copied], minlength=256)
         return left
+
+    def _flags(self, records: NDArray[Any], flags: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Flags of records; of those in no tile the one that the area of interest decides."""
+        lost = flags == IN_NO_TILE
+        outside = np.zeros(len(records), np.bool_)
+        if self._area is not None and lost.any():
+            x, y = (coordinate(records[lost], self._header, k, 0, self._units) for k in range(2))
+            outside[lost] = ~contains(self._area, x, y)
+        return np.where(lost, outside * np.uint8(PointFlag.OUTSIDE_AOI), flags)
 
     def facts(self) -> dict[str, Any]:
         """What the report and client tiles need to know."""

@@ -22,7 +22,7 @@ from spl_batch.airborne.store.flown_lines import read_shifts
 from spl_batch.airborne.store.label_tables import label_files, read_labelled_tile, units_of
 from spl_batch.airborne.store.raster_cells import stored_blocks
 from spl_batch.airborne.tasks import index, pulses
-from spl_batch.airborne.tasks.delivered_points import PLACE, Dropping, Terrain, gone
+from spl_batch.airborne.tasks.delivered_points import IN_NO_TILE, PLACE, Dropping, Terrain, gone
 from spl_batch.airborne.tasks.stretches import Copies
 from spl_batch.constants import FLAG_WITHHELD, NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.engine.findings import Finding
@@ -90,7 +90,8 @@ class _FileLabels:
     def _load(self, start: int, stop: int) -> None:
         self.start, self.stop = start, min(stop, int(self.args["points"]))
         n = self.stop - self.start
-        fill = {"noise_class": 255, "classification": KEEP_CLASS, "set_flags": 0, "flags": 0}
+        fill = {"noise_class": 255, "classification": KEEP_CLASS, "set_flags": 0}
+        fill["flags"] = IN_NO_TILE
         self.values = {
             k: np.full(n, fill.get(k, np.nan), dtype=COLUMNS[k].dtype) for k in self.names
         }
@@ -155,7 +156,8 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
     names = (*_DELIVERED, *_DIAGNOSTICS * diagnostics, *("set_flags",) * flags)
     names += (*(HEIGHT,) * heights, *("flags",) * bool(asked.drop))
     labels, classes = _FileLabels(args, context, names), np.zeros((2, 256), np.int64)
-    dropping = Dropping(asked.drop, args["points"]) if asked.drop else None
+    header = read_header(Path(args["path"]))
+    dropping = Dropping(asked.drop, args["points"], header, context) if asked.drop else None
     target = context.output / "laz" / args["delivered"]
     source = Path(args["path"])
     stamp = as_indexed("index_file", args, context)
@@ -174,7 +176,7 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
             standard=args["standard"],
             kept=dropping,
         )
-    header, copy, outputs = read_header(source), read_header(target), [target]
+    copy, outputs = read_header(target), [target]
     waveforms = args["waveforms"]
     if waveforms and copy.global_encoding & EXTERNAL_BIT:
         outputs.append(context.output / "laz" / waveforms["delivered"])

@@ -18,11 +18,33 @@ from rasterio.enums import Resampling
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
+from spl_batch.constants import NODATA
 from spl_batch.errors import DamagedError
 from spl_batch.formats.units import Units, metres_in
 
 LARGEST: Final = 1200
 """Cells that a side of an overview may have [count]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Cells of a raster where they lie."""
+
+    rows: int
+    columns: int
+    #: left_m, top_m: easting and northing of the upper left corner [m].
+    left_m: float
+    top_m: float
+    cell_m: float
+
+    def place(
+        self, xy_m: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+        """Row and column of each point, and whether the raster reaches there."""
+        # A northing on a cell's lower edge belongs to that cell: cells are half-open upward.
+        row = -np.floor((xy_m[:, 1] - self.top_m) / self.cell_m).astype(np.int64) - 1
+        col = np.floor((xy_m[:, 0] - self.left_m) / self.cell_m).astype(np.int64)
+        return row, col, (row >= 0) & (row < self.rows) & (col >= 0) & (col < self.columns)
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +63,45 @@ class RasterPart:
         rows, cols = self.values.shape
         right, bottom = self.left_m + cols * self.cell_m, self.top_m - rows * self.cell_m
         return (self.left_m, right, bottom, self.top_m)
+
+    @property
+    def grid(self) -> Grid:
+        """Its cells."""
+        rows, columns = self.values.shape
+        return Grid(rows, columns, self.left_m, self.top_m, self.cell_m)
+
+    def at(self, xy_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Value of the cell that each point lies in: (n,) float64; NaN where there is none."""
+        row, col, held = self.grid.place(xy_m)
+        out = np.full(len(xy_m), np.nan)
+        out[held] = known(self.values[row[held], col[held]])
+        return out
+
+    def bilinear(self, xy_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Value between the four cell centres around each point (n, 2) [m]; NaN if one is void."""
+        rows, cols = self.values.shape
+        v = (self.top_m - xy_m[:, 1]) / self.cell_m - 0.5
+        u = (xy_m[:, 0] - self.left_m) / self.cell_m - 0.5
+        # A point exactly on the last centre has its square on the near side.
+        r = np.minimum(np.floor(v), np.where(v == rows - 1, rows - 2, rows)).astype(np.int64)
+        c = np.minimum(np.floor(u), np.where(u == cols - 1, cols - 2, cols)).astype(np.int64)
+        held = (r >= 0) & (r < rows - 1) & (c >= 0) & (c < cols - 1)
+        out = np.full(len(xy_m), np.nan)
+        r, c, fv, fu = r[held], c[held], (v - r)[held], (u - c)[held]
+        upper = known(self.values[r, c]) * (1 - fu) + known(self.values[r, c + 1]) * fu
+        lower = known(self.values[r + 1, c]) * (1 - fu) + known(self.values[r + 1, c + 1]) * fu
+        out[held] = upper * (1 - fv) + lower * fv
+        return out
+
+    def sampled(self, xy_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """As :meth:`bilinear`; beside voids, and at the rim, the value of the point's cell."""
+        cell, between = self.at(xy_m), self.bilinear(xy_m)
+        return np.where(np.isnan(cell) | np.isnan(between), cell, between)
+
+
+def known(values: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Float64 with NaN for nodata."""
+    return np.where(values == np.float32(NODATA), np.nan, values.astype(np.float64))
 
 
 def read_overview(path: Path, largest: int = LARGEST) -> RasterPart:

@@ -2,10 +2,12 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import laspy
 import numpy as np
+import numpy.lib.recfunctions as rfn
 import pyogrio
 import pytest
 import rasterio
@@ -15,7 +17,9 @@ from pyproj import CRS
 from scipy.interpolate import RegularGridInterpolator
 
 from spl_batch.airborne.tasks import client_tiles, delivered_points, index
+from spl_batch.formats.las.header import read_header
 from spl_batch.formats.named_areas import lies_in, read_named_areas
+from spl_batch.formats.units import Units
 from tests import surveys
 
 EAST, NORTH = surveys.ORIGIN_M
@@ -37,6 +41,7 @@ OUTPUTS: dict[str, Any] = {
     "drop": ["noise", "withheld", "outside"],
     "client_tiles": {"polygons": "tiles.gpkg", "name": "tile"},
     "contour_interval": 0.1,
+    "tiles": "laz",
 }
 FEET = "EPSG:2278+6360"
 SURVEY = {"organisation": "Survey <Ltd>", "contact": "maps@example.org", "licence": "CC-BY-4.0"}
@@ -130,6 +135,13 @@ def test_every_point_is_delivered_or_counted_as_dropped(runs: Runs) -> None:
     assert min(tally.values()) > 0
     classes = np.concatenate([c["classification"] for c in left.values()])
     assert counts.classes == {str(k): int(n) for k, n in enumerate(np.bincount(classes)) if n}
+
+
+def test_tiles_of_work_are_without_dropped_points(runs: Runs) -> None:
+    for output in (runs.asked, runs.other):
+        tiles = [laspy.read(path) for path in (output / "tiles").glob("*.laz")]
+        assert sum(map(len, tiles)) == runs.report.counts.points_out
+        assert not any(np.any(tile.withheld) for tile in tiles)
 
 
 def test_a_point_lies_in_one_tile_or_in_none(runs: Runs) -> None:
@@ -252,6 +264,42 @@ def test_a_tile_that_cannot_be_written_fails_alone(tmp_path: Path) -> None:
         result.report.failures
     )
     assert [one.name for one in result.report.client_tiles] == ["B-2", "c", "far away"]
+
+
+@pytest.mark.parametrize(("crs", "unit_m"), [(surveys.CRS_NAME, 1.0), (FEET, 1200 / 3937)])
+def test_points_that_nothing_has_looked_at_are_outside_by_their_place(
+    tmp_path: Path, crs: str, unit_m: float
+) -> None:
+    path = surveys.write_cloud(tmp_path / "m.laz", surveys.flightline(shots=20))
+    cloud = surveys.in_feet(path, tmp_path / "ft.laz", FEET, [unit_m] * 3) if crs == FEET else path
+    las = laspy.read(cloud)
+    x, y = np.asarray(las.x), np.asarray(las.y)
+    middle = np.median(x)
+    area = shapely.box(x.min() - 1, y.min() - 1, middle, y.max() + 1)
+    write_tiles(tmp_path / "aoi.gpkg", {"aoi": area}, crs=crs)
+    context: Any = SimpleNamespace(
+        workflow=SimpleNamespace(aoi="aoi.gpkg"),
+        resolve=tmp_path.joinpath,
+        crs=CRS.from_user_input(crs),
+        units=Units.of(CRS.from_user_input(crs)),
+    )
+    records = las.points.array.copy()
+    las_flags = np.zeros(len(records), np.uint8)
+    records = rfn.append_fields(records[["X", "Y", "classification"]], "classification_flags",
+                                las_flags, usemask=False)  # fmt: skip
+    labels = {
+        "flags": np.full(len(records), delivered_points.IN_NO_TILE, np.uint8),
+        "classification": np.full(len(records), 255, np.uint8),
+        "copied": np.zeros(len(records), bool),
+    }
+    labels["flags"][:3] = 0  # what a tile has is inside by its label
+    header = read_header(cloud)
+    outside = x > middle
+    outside[:3] = False
+    for kinds, kept in ((["outside"], ~outside), (["withheld"], np.ones_like(outside))):
+        dropping = delivered_points.Dropping(kinds, len(records), header, context)
+        assert np.array_equal(dropping(records, labels)[x != middle], kept[x != middle])
+    assert outside.any()
 
 
 @pytest.mark.slow

@@ -5,10 +5,9 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import shapely
 from pyproj import CRS
 
-from spl_batch.airborne.plan.inputs.file_positions import extent
+from spl_batch.airborne.plan.inputs.file_positions import ASTRAY, beside, boxes_of
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.plan.input_files import name_below
 from spl_batch.errors import InputError, WorkflowError, as_input_fault
@@ -21,10 +20,10 @@ TILES_KEY: Final = "outputs.client_tiles.polygons"
 """Key of the file with a client's tiles."""
 
 
-def tiles_file(workflow: Workflow) -> str | None:
-    """Name of the file with a client's tiles, if there is one."""
+def tiles_file(workflow: Workflow) -> dict[str, str]:
+    """Name of the file with a client's tiles by its key, if there is one."""
     tiles = workflow.outputs.client_tiles
-    return None if tiles is None else tiles.polygons
+    return {} if tiles is None else {TILES_KEY: tiles.polygons}
 
 
 def client_tiles(
@@ -49,14 +48,6 @@ def client_tiles(
             areas = read_named_areas(path, crs, tiles.name)
     except InputError as fault:
         raise WorkflowError(f"{TILES_KEY}: {fault}") from None
-    boxes = shapely.box(
-        *np.transpose([[*f.mins_m[:2], *f.maxs_m[:2]] for f in files if f.n_points])
-    )
-    shapes = np.array([one.shape for one in areas])
-    if not shapely.STRtree(boxes).query(shapes, "intersects").size:
-        drawn, flown = (extent(shapely.get_coordinates(some)) for some in (shapes, boxes))
-        raise WorkflowError(
-            f"{TILES_KEY}: {path}: none of its polygons meets the survey: they lie within {drawn}, "
-            f"its points within {flown}; check its CRS and the order of its axes"
-        )
+    if apart := beside(np.array([one.shape for one in areas]), boxes_of(files)):
+        raise WorkflowError(f"{TILES_KEY}: {path}: {ASTRAY.format(**apart)}")
     return tuple(areas)

@@ -3,9 +3,10 @@
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+import shapely
 from numpy.typing import ArrayLike, NDArray
 
 from spl_batch.engine.findings import Finding
@@ -32,7 +33,29 @@ def extent(places_m: ArrayLike) -> str:
     """Box around places, (n, 2) [m], in words."""
     places = np.asarray(places_m)
     west, south, east, north = map(grouped, (*places.min(axis=0), *places.max(axis=0)))
-    return f"{west} to {east} E, {south} to {north} N"
+    return f"{west} to {east} m E, {south} to {north} m N"
+
+
+def boxes_of(files: Iterable[LasFacts]) -> NDArray[Any]:
+    """Boxes around the points of files that hold some: (n,) polygons [m]."""
+    ends = [[*f.mins_m[:2], *f.maxs_m[:2]] for f in files if f.n_points]
+    boxes: NDArray[Any] = shapely.box(*np.transpose(ends))
+    return boxes
+
+
+def beside(shapes: NDArray[Any], survey: NDArray[Any]) -> dict[str, str]:
+    """Extents of shapes and of a survey's boxes, where none of the shapes meets one; else empty."""
+    if not len(survey) or shapely.STRtree(survey).query(shapes, "intersects").size:
+        return {}
+    both = {"shapes": shapes, "points": survey}
+    return {name: extent(shapely.get_coordinates(some)) for name, some in both.items()}
+
+
+ASTRAY: Final = (
+    "none of its polygons meets the survey: they lie within {shapes}, its points within {points}; "
+    "check its CRS and the order of its axes"
+)
+"""Remedy for polygons that :func:`beside` has extents of."""
 
 
 def usable(

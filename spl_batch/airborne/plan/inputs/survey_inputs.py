@@ -8,13 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import shapely
 from pyproj import CRS
 
-from spl_batch.airborne.plan.inputs.client_areas import TILES_KEY, client_tiles, tiles_file
+from spl_batch.airborne.plan.inputs.client_areas import client_tiles, tiles_file
 from spl_batch.airborne.plan.inputs.file_positions import (
+    ASTRAY,
+    beside,
+    boxes_of,
     degrees_as_metres,
-    extent,
     far_positions,
     inspected,
     saved_again,
@@ -119,10 +120,10 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     reference_names = workflow.reference.points if workflow.reference else None
     reference = expand(reference_names, base, "reference.points", faults)
     checkpoints = named_file(workflow.reference, base)
-    beside = _shapes(workflow) | _tiles(workflow)
+    others = _shapes(workflow) | tiles_file(workflow)
     if workflow.reference and workflow.reference.checkpoints is not None:
-        beside["reference.checkpoints"] = workflow.reference.checkpoints
-    faults += _missing(beside, base)
+        others["reference.checkpoints"] = workflow.reference.checkpoints
+    faults += _missing(others, base)
     refuse_own(paths, output, "survey.flightlines", faults)
     if faults:
         raise WorkflowError("; ".join(faults))
@@ -187,12 +188,6 @@ def _missing(named: Mapping[str, str], base: Path) -> Iterator[str]:
             yield f"{key}: {base / name} does not exist; {CHECK}"
 
 
-def _tiles(workflow: Workflow) -> dict[str, str]:
-    """File of a client's tiles, by its key, where one is named."""
-    name = tiles_file(workflow)
-    return {} if name is None else {TILES_KEY: name}
-
-
 def _shapes(workflow: Workflow) -> dict[str, str]:
     """Files of shapes that a workflow names, by key."""
     given = {key: getattr(workflow, key) for key in ("aoi", "water", "breaklines")}
@@ -209,9 +204,7 @@ def _check_shapes(
     """
     faults: list[str] = []
     warnings: list[Finding] = []
-    survey = shapely.box(
-        *np.transpose([[*f.mins_m[:2], *f.maxs_m[:2]] for f in files if f.n_points])
-    )
+    survey = boxes_of(files)
     for key, name in _shapes(workflow).items():
         try:
             with as_input_fault(base / name):
@@ -220,20 +213,15 @@ def _check_shapes(
                     if key == "breaklines"
                     else check_polygons(base / name, crs)
                 )
-            met = shapely.STRtree(survey).query(shapes, "intersects")
-            if len(survey) and not met.size:
-                drawn, flown = (extent(shapely.get_coordinates(s)) for s in (shapes, survey))
+            apart = beside(shapes, survey)
+            if apart and key == "aoi":
+                faults.append(f"{key}: {base / name}: {ASTRAY.format(**apart)}")
+            elif apart:
                 values = {
-                    "kind": "shapes", "key": key, "shapes": drawn, "points": flown,
+                    "kind": "shapes", "key": key, "shapes": apart["shapes"],
+                    "points": apart["points"],
                 }  # fmt: skip
-                if key != "aoi":
-                    warnings.append(Finding("I05", values, name))
-                    continue
-                faults.append(
-                    f"{key}: {base / name}: none of its polygons meets the survey: they lie within "
-                    f"{drawn}, its points within {flown}; "
-                    "check its CRS and the order of its axes"
-                )
+                warnings.append(Finding("I05", values, name))
         except InputError as fault:
             faults.append(f"{key}: {fault}")
     if faults:
@@ -287,7 +275,7 @@ def _without_time(workflow: Workflow, files: Sequence[LasFacts], base: Path) -> 
 
 
 def _checksums(workflow: Workflow, base: Path) -> Iterable[tuple[str, str]]:
-    named = _shapes(workflow) | _tiles(workflow)
+    named = _shapes(workflow) | tiles_file(workflow)
     files = {key: base / name for key, name in named.items()}
     geoid = workflow.outputs.geoid
     if geoid is not None and (grid := grid_file(geoid.grid, base / geoid.grid)) is not None:
