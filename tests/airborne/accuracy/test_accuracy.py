@@ -25,7 +25,8 @@ from spl_batch.airborne.accuracy.error_tally import (
     add_up,
     tallies,
 )
-from spl_batch.airborne.accuracy.raster_and_reference import Grid, Raster, Reference
+from spl_batch.airborne.accuracy.raster_and_reference import Raster, Reference
+from spl_batch.formats.rasters.parts import Grid
 from spl_batch.numerics.error_statistics import STATISTICS, statistics
 
 errors = arrays(np.float64, st.integers(1, 60), elements=st.floats(-1e3, 1e3))
