@@ -231,6 +231,7 @@ def _sampled(source: Any, x: Places, y: Places) -> Places:
     right, bottom = (int(one[there].max()) + 2 for one in (col, row))
     sides = min(right, source.width) - left, min(bottom, source.height) - top
     cells = source.read(1, window=Window(left, top, *sides))
-    part = RasterPart(cells, *(place * (left, top)), place.a)
+    west, north = place * (left, top)
+    part = RasterPart(cells, west, north, place.a)
     out[there] = part.sampled(np.column_stack([x[there], y[there]]))
     return out
