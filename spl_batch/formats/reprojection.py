@@ -82,13 +82,25 @@ class Reprojection:
         self._to, self._survey = Units.of(self.crs), survey
         #: Units of the target's heights in one of the survey's.
         self._ratio = Units.of(survey).vertical_m / self._to.vertical_m
-        self._flat = Transformer.from_crs(horizontal(survey), horizontal(named), always_xy=True)
+        self._flat = self._transformer(horizontal(survey), horizontal(named))
         self._whole: Transformer | None = None
         if mine is not None and wanted is not None and not same_heights(mine, wanted):
-            # Without the grid of a geoid PROJ would leave heights as they are and keep silent.
-            self._whole = Transformer.from_crs(
-                survey, named, always_xy=True, only_best=True, allow_ballpark=False
+            self._whole = self._transformer(survey, named)
+
+    def _transformer(self, source: CRS, target: CRS) -> Transformer:
+        """By the best way alone: without a grid PROJ would be metres off and keep silent."""
+        try:
+            return Transformer.from_crs(
+                source, target, always_xy=True, only_best=True, allow_ballpark=False
             )
+        except ProjError as error:
+            raise self._unreachable(str(error)) from None
+
+    def _unreachable(self, reason: str) -> WorkflowError:
+        return WorkflowError(
+            f"{KEY}: cannot be reached from {crs_name(self._survey)} ({reason}): name another CRS, "
+            "or put the grid that PROJ lacks into its data folder"
+        )
 
     @property
     def moves_points(self) -> bool:
@@ -111,10 +123,7 @@ class Reprojection:
                     raise WorkflowError(f"{KEY}: {problem[0]}")
                 return
             reason = "a corner of the survey has no place there"
-        raise WorkflowError(
-            f"{KEY}: cannot be reached from {crs_name(self._survey)} ({reason}): name another CRS, "
-            "or put the grid that PROJ lacks into its data folder"
-        )
+        raise self._unreachable(reason)
 
     def places(self, xyz: Places) -> Places:
         """Places, (n, 3), in the units of both CRS."""

@@ -165,6 +165,7 @@ def test_clouds_and_rasters_in_another_crs(tmp_path: Path) -> None:
         ("EPSG:32615", "EPSG:4326", "geographic"),
         ("EPSG:32615+5703", "EPSG:2278+5773", "cannot be reached .* grid that PROJ lacks"),
         ("EPSG:32615", "EPSG:32606", "stretches lengths"),
+        ("EPSG:27700", "EPSG:25830", "cannot be reached .* grid that PROJ lacks"),
     ],
 )
 def test_a_crs_that_cannot_be_reached_is_refused(survey, named: str, fault: str) -> None:
