@@ -53,7 +53,11 @@ def by_stage(workflow: Path, output: Path) -> dict[str, float]:
         prepared.receiver.before(step, prepared)
         start = time.process_time()
         for task in list(step.planned(survey)):
-            receipt = run_task(task, "", context)
+            found = {(kind, name) for kind, name in task.needs if name in survey.of(kind)}
+            bound = step.bound(task, found)
+            if bound is None:
+                continue
+            receipt = run_task(bound, "", context)
             if receipt.failed:
                 sys.exit(f"{task.kind} {task.name}: {receipt.reason}")
             survey.of(task.kind).put(receipt)

@@ -32,11 +32,13 @@ def twins(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     surveys.write_trajectory(metres / "trajectory.csv")
     for path in sorted((metres / "lines").iterdir()):
         surveys.in_feet(path, feet / "lines" / path.name, FEET, [US_M] * 3)
+    rows = np.loadtxt(metres / "trajectory.csv", delimiter=",", skiprows=1)
+    rows[:, 1:] = np.round(rows[:, 1:] / US_M, 7)
     for folder, unit_m in ((metres, 1.0), (feet, US_M)):
-        rows = np.loadtxt(metres / "trajectory.csv", delimiter=",", skiprows=1)
-        rows[:, 1:] /= unit_m
+        # The same numbers to the last bit: a beam that meets the corner of a cell meets it in both.
+        flown = rows * [1.0, *[US_M if unit_m == 1.0 else 1.0] * 3]
         head = "gps_time,x,y,z"
-        np.savetxt(folder / "trajectory.csv", rows, "%.7f", ",", header=head, comments="")
+        np.savetxt(folder / "trajectory.csv", flown, "%.17g", ",", header=head, comments="")
         x, y = np.add(surveys.ORIGIN_M, (3.2, 0.7)) / unit_m
         text = f"id,x,y,z,accuracy_m\nA,{x:.6f},{y:.6f},{20.2 / unit_m:.6f},0.01\n"
         (folder / "checkpoints.csv").write_text(text)

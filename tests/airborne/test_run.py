@@ -390,7 +390,7 @@ def raising(function: Callable[..., Any], on_call: int) -> Callable[..., Any]:
 
 
 BREAKS = [
-    (denoise_stage, "judge", "denoise"),
+    (denoise_stage, "denoise", "denoise"),
     (line_noise_stage, "observe", "observe"),
 ]
 
