@@ -30,24 +30,13 @@ from spl_batch.airborne.ground.multiscale.ranging_layer import (
     evidence,
     reckoned,
 )
-from spl_batch.airborne.ground.point_spacing import (
-    Squares,
-    in_squares,
-    spacing_around_m,
-    spacing_at_m,
-)
+from spl_batch.airborne.ground.point_spacing import Blocks, spacings_m
 from spl_batch.airborne.ground.ptd import Limits, densify, heights_above
 from spl_batch.airborne.ground.smrf import provisional_terrain
 from spl_batch.airborne.settings import GroundSettings, PtdSettings, SmrfSettings
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.tables import PointTable
 from spl_batch.numerics.cell_groups import group_by_cell
-
-DOMAIN: Final = "space"
-COLUMNS_NEEDED: Final = ("x", "y", "z")
-"""And ``afterpulse`` and ``range_sigma`` where the time domain ran."""
-
-COLUMNS_ADDED: Final = ("ground",)
 
 _INSERT_M = 0.05
 """Nearer candidates leave the surface as it is: a third of the ranging noise of one
@@ -110,7 +99,8 @@ def ground_mask(
     Parameters
     ----------
     table : PointTable
-        Points of one ground cell and its buffer, in any order.
+        Points of one ground cell and its buffer, in any order: ``x, y, z``, and ``afterpulse`` and
+        ``range_sigma`` where the time domain ran.
     usable : (n,) bool
         Points to look at: signal, not withheld.
     settings : GroundSettings
@@ -179,7 +169,7 @@ def ptd_mask(own: Points, asked: Points, settings: PtdSettings) -> NDArray[np.bo
     order = group_by_cell(asked.x, asked.y, settings.node_m).order
     x, y, z = (values[order] for values in asked)
     height, edge = heights_above(tin, x, y, z)
-    edge = np.minimum(edge, _GAP_SPACINGS * spacing_around_m(own.x, own.y, x, y))
+    edge = np.minimum(edge, _GAP_SPACINGS * spacings_m(own.x, own.y).at(x, y))
     allowed = settings.band_m + np.tan(np.radians(settings.iteration_angle_deg)) * edge
     mask[order] = np.abs(height) <= np.minimum(allowed, settings.iteration_distance_m)
     return mask
@@ -198,33 +188,22 @@ def _limits(settings: PtdSettings) -> Limits:
 def _start(own: Points, settings: PtdSettings) -> Start:
     """Nodes and seeds, from cells of twice the size where data are sparse.
 
-    Blocks of 16 m choose by the spacing of the points in and around them, whatever ground cell
-    they are in.
+    Blocks choose by the spacing of the points in and around them, whatever ground cell they are in.
     """
-    squares, parts = in_squares(own.x, own.y), []
-    wide = sparse_at(squares, own.x, own.y, settings.node_m)
+    spacing, parts = spacings_m(own.x, own.y), []
+    wide = sparse_at(spacing, own.x, own.y, settings.node_m)
     for times in (1, 2):
         if (wide == (times == 2)).any():
             found = start(*own, times * settings.node_m, settings)
             x, y = found.xyz[:, :2].T
-            chosen = sparse_at(squares, x, y, settings.node_m) == (times == 2)
+            chosen = sparse_at(spacing, x, y, settings.node_m) == (times == 2)
             parts.append([of[chosen] for of in found])
     return Start(*(np.concatenate(some) for some in zip(*parts, strict=True)))
 
 
-def sparse_at(squares: Squares, x: Float, y: Float, node_m: float) -> NDArray[np.bool_]:
-    """Places around which cells of a size hold too few points on the average: (n,) bool.
-
-    Parameters
-    ----------
-    squares : Squares
-        The points.
-    x, y : (n,) float64
-        Places [m].
-    node_m : float
-        Edge of a cell [m].
-    """
-    wide: NDArray[np.bool_] = node_m**2 < _FILLED * spacing_at_m(squares, x, y) ** 2
+def sparse_at(spacing: Blocks, x: Float, y: Float, node_m: float) -> NDArray[np.bool_]:
+    """Places around which cells of an edge hold too few points of a spacing: (n,) bool."""
+    wide: NDArray[np.bool_] = node_m**2 < _FILLED * spacing.at(x, y) ** 2
     return wide
 
 
@@ -247,8 +226,8 @@ def smrf_mask(own: Points, asked: Points, settings: SmrfSettings) -> NDArray[np.
     """
     cells = group_by_cell(own.x, own.y, settings.cell_m)
     nodes = lowest_layers(*own, cells, settings.layer_m)
-    below = sunk(nodes, cells.rows, cells.columns, settings.cell_m)
-    believed = supported(nodes, cells.rows, cells.columns, settings.cell_m) & ~below
+    below = sunk(nodes, cells, settings.cell_m)
+    believed = supported(nodes, cells, settings.cell_m) & ~below
     leaves = seen_through(nodes, believed, cells, settings.cell_m)
     trusted = first_true((~nodes.doubtful & ~below & ~leaves,))
     lowest = lowest_grid(nodes, trusted, cells)

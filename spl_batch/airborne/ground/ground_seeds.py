@@ -17,8 +17,8 @@ from spl_batch.airborne.ground.ground_trend import Trend, fit_trend, trend_at
 from spl_batch.airborne.ground.lowest_layers import (
     SUPPORTED,
     Nodes,
-    count_below,
-    count_support,
+    Rule,
+    count_around,
     lowest_layers,
 )
 from spl_batch.airborne.ground.pits import PIT_REACH_M, in_pits
@@ -27,28 +27,20 @@ from spl_batch.airborne.settings import PtdSettings
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.numerics.cell_groups import Cells, group_by_cell
 
-_REACH = 2
-"""Cells around a node in which others speak for it or against it [count]."""
-
 _SUPPORT = 2
-_SUPPORT_STEP_M = 0.25
-_SUPPORT_SLOPE = 0.35
+_CONTINUES = Rule(reach=2, step_m=0.25, slope=0.35)
 """A node is believed below the surface, and as a seed, with two nodes around that continue it;
 on a slope of any steepness those along the contour do."""
 
 _BELOW = 3
-_BELOW_STEP_M = 0.5
-_BELOW_SLOPE = 0.5
+_GOES_ON_BELOW = Rule(reach=2, step_m=0.5, slope=0.5)
 """No seed is taken above three believed nodes of one or two returns below many others: that is
 ground seen through a crown, whose lowest leaves fill a layer better than the ground does. The foot
 of a cliff or wall has nodes of its own weight, and takes no seed from its top."""
 
-_WIDE = 4
 _WIDE_AGREE = 3
-_WIDE_STEP_M = 0.2
-_WIDE_SLOPE = 0.05
-_WIDE_BELOW_STEP_M = 0.4
-_WIDE_BELOW_SLOPE = 0.1
+_WIDE = Rule(reach=4, step_m=0.2, slope=0.05)
+_WIDE_BELOW = Rule(reach=4, step_m=0.4, slope=0.1)
 """The same above a trend, where ground is level and single returns of it continue each other over
 more cells: in the shade of a crown and a shrub there are few to the cell. Nodes at the node's own
 height outvote them: at the edge of a terrace there are more of these."""
@@ -125,12 +117,12 @@ def _judge(
 
     A crown does; the top of a cliff stands out above the trend, but not as it is.
     """
-    below = sunk(nodes, cells.rows, cells.columns, cell_m)
+    below = sunk(nodes, cells, cell_m)
     # Afterpulses below a meadow lie near enough to continue each other. Before the ground's trend
     # is known, much that is sunk in deep shade is ground.
     asked = np.ones_like(below) if also is None else ~below
     continued = np.zeros_like(below)
-    continued[asked] = supported(_of(nodes, asked), cells.rows, cells.columns, cell_m)
+    continued[asked] = supported(_of(nodes, asked), cells, cell_m)
     trusted = continued & ~nodes.doubtful & ~below
     objects = _on_objects(nodes, trusted, cells, cell_m, settings)
     if also is not None:
@@ -139,23 +131,20 @@ def _judge(
     return _Judged(below, trusted, first_true((eligible, trusted)))
 
 
-def sunk(nodes: Nodes, rows: int, columns: int, cell_m: float) -> Mask:
+def sunk(nodes: Nodes, cells: Cells, cell_m: float) -> Mask:
     """Nodes below a hard surface in their cell, or in a pit of a smooth one around it."""
     pit = np.empty(len(nodes.cell), dtype=np.bool_)
     reach = max(round(PIT_REACH_M / cell_m), 1)
-    asked = nodes.points < SUPPORTED
-    in_pits(nodes.xyz, nodes.cell, asked, nodes.doubtful, rows, columns, reach, pit)
+    asked, grid = nodes.points < SUPPORTED, (cells.rows, cells.columns)
+    in_pits(nodes.xyz, nodes.cell, asked, nodes.doubtful, *grid, reach, pit)
     return pit | nodes.buried
 
 
-def supported(nodes: Nodes, rows: int, columns: int, cell_m: float) -> Mask:
+def supported(nodes: Nodes, cells: Cells, cell_m: float) -> Mask:
     """Nodes that others continue."""
-    support = np.empty(len(nodes.cell), dtype=np.int64)
-    count_support(
-        nodes.xyz, nodes.cell, np.ones(len(support), dtype=np.bool_), rows, columns,
-        _REACH, _REACH * cell_m, _SUPPORT_STEP_M, _SUPPORT_SLOPE, _SUPPORT, support,
-    )  # fmt: skip
-    return support >= _SUPPORT
+    every = np.ones(len(nodes.cell), np.bool_)
+    found = count_around(nodes, every, cells, cell_m, _CONTINUES, below=False, enough=_SUPPORT)
+    return found >= _SUPPORT
 
 
 def _of(nodes: Nodes, chosen: Mask) -> Nodes:
@@ -167,39 +156,19 @@ def _of(nodes: Nodes, chosen: Mask) -> Nodes:
 
 def seen_through(nodes: Nodes, believed: Mask, cells: Cells, cell_m: float) -> Mask:
     """Nodes below which single returns go on: the lowest leaves of a crown."""
-    below = np.empty(len(nodes.cell), dtype=np.int64)
     alone = believed & nodes.doubtful
-    count_below(
-        nodes.xyz, nodes.cell, alone, cells.rows, cells.columns, _REACH, _REACH * cell_m,
-        _BELOW_STEP_M, _BELOW_SLOPE, below,
-    )  # fmt: skip
-    return below >= _BELOW
+    return count_around(nodes, alone, cells, cell_m, _GOES_ON_BELOW, below=True) >= _BELOW
 
 
-def _shaded(level: Nodes, below: Mask, cells: Cells, cell_m: float) -> Mask:
+def _shaded(level: Nodes, low: Mask, cells: Cells, cell_m: float) -> Mask:
     """Nodes above a trend that single returns go on below, no fewer than nodes at their height."""
-    alone = level.doubtful & ~below
-    alone &= _beside(level, alone, cells, cell_m, _WIDE_AGREE) >= _WIDE_AGREE
-    under = np.empty(len(level.cell), dtype=np.int64)
-    count_below(
-        level.xyz, level.cell, alone, cells.rows, cells.columns, _WIDE, _WIDE * cell_m,
-        _WIDE_BELOW_STEP_M, _WIDE_BELOW_SLOPE, under,
-    )  # fmt: skip
+    every, alone, on = np.ones(len(low), np.bool_), level.doubtful & ~low, (cells, cell_m, _WIDE)
+    beside = count_around(level, every, *on, below=False, asked=alone, enough=_WIDE_AGREE)
+    alone &= beside >= _WIDE_AGREE
+    under = count_around(level, alone, cells, cell_m, _WIDE_BELOW, below=True)
     shaded: Mask = under >= _BELOW
-    shaded &= under >= _beside(level, shaded, cells, cell_m, len(under))
+    shaded &= under >= count_around(level, every, *on, below=False, asked=shaded)
     return shaded
-
-
-def _beside(
-    level: Nodes, asked: Mask, cells: Cells, cell_m: float, enough: int
-) -> NDArray[np.int64]:
-    """Nodes at the height of each that is asked for, or enough of them."""
-    beside = np.empty(len(level.cell), dtype=np.int64)
-    count_support(
-        level.xyz, level.cell, asked, cells.rows, cells.columns, _WIDE, _WIDE * cell_m,
-        _WIDE_STEP_M, _WIDE_SLOPE, enough, beside,
-    )  # fmt: skip
-    return beside
 
 
 def _on_objects(

@@ -31,6 +31,9 @@ tilt of 35 degrees gives it in a cell of 1 m, and this share of what lies betwee
 below it and this height above it. Leaves fill twice the thickness, and do not pass."""
 
 
+Mask = NDArray[np.bool_]
+
+
 class Nodes(NamedTuple):
     """Lowest layers, one or two for each occupied cell, row by row.
 
@@ -54,32 +57,6 @@ class Nodes(NamedTuple):
     points: NDArray[np.int64]
     doubtful: NDArray[np.bool_]
     buried: NDArray[np.bool_]
-
-
-@njit()
-def count_squares(
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    edge: float,
-    left: int,
-    bottom: int,
-    out: NDArray[np.int64],
-) -> None:
-    """Add up the points of each square of the absolute lattice.
-
-    Parameters
-    ----------
-    x, y : (n,) float64
-        Places [m].
-    edge : float
-        Edge of a square [m].
-    left, bottom : int
-        Column and row of the first square.
-    out : (columns, rows) int64, added to
-        Points [count].
-    """
-    for i in range(len(x)):
-        out[int(np.floor(x[i] / edge)) - left, int(np.floor(y[i] / edge)) - bottom] += 1
 
 
 def lowest_layers(
@@ -228,126 +205,73 @@ def _layer_mean(
     return n
 
 
-@njit()
-def _first_rows(cell: NDArray[np.int64], cells: int) -> NDArray[np.int64]:
-    """First row of each cell, -1 for those without any; rows are in order of their cells."""
-    first = np.full(cells, -1, dtype=np.int64)
-    for i in range(len(cell) - 1, -1, -1):
-        first[cell[i]] = i
-    return first
+class Rule(NamedTuple):
+    """Which nodes of the cells around speak for or against one: by how far they are above it."""
+
+    reach: int  #: Cells to look at on each side, and farthest neighbour [count, edges].
+    step_m: float  #: Height from which on a node is another's, on level ground [m].
+    slope: float  #: More of it for each unit of distance [rise/run].
 
 
-@njit()
-def count_support(
-    xyz: NDArray[np.float64],
-    cell: NDArray[np.int64],
-    asked: NDArray[np.bool_],
-    rows: int,
-    columns: int,
-    reach: int,
-    reach_m: float,
-    step_m: float,
-    slope: float,
-    enough: int,
-    out: NDArray[np.int64],
-) -> None:
-    """Nodes near each node that continue its surface, along the contour at least.
+def count_around(
+    nodes: Nodes, chosen: Mask, cells: Cells, cell_m: float, rule: Rule, *,
+    below: bool, asked: Mask | None = None, enough: int | None = None,
+) -> NDArray[np.int64]:  # fmt: skip
+    """Chosen nodes around each node that continue its surface, or that lie clearly below it.
 
     Parameters
     ----------
-    xyz : (m, 3) float64
-        Nodes [m], in order of their cells.
-    cell : (m,) int64
-        Cell of each node.
-    asked : (m,) bool
-        Nodes whose neighbours are counted.
-    rows, columns : int
-        Shape of the grid.
-    reach : int
-        Cells to look at on each side [count].
-    reach_m : float
-        Farthest neighbour [m].
-    step_m, slope : float
-        A neighbour at distance d supports within step_m + slope d [m, rise/run].
-    enough : int
-        No row of cells is looked at where so many support already [count].
-    out : (m,) int64, written
-        Supporting nodes of other cells [count]; 0 where not asked.
-    """
-    first = _first_rows(cell, rows * columns)
-    for i in range(len(cell)):
-        out[i] = 0
-        if not asked[i]:
-            continue
-        r, c = cell[i] // columns, cell[i] % columns
-        n = 0
-        for rr in range(max(r - reach, 0), min(r + reach + 1, rows)):
-            if n >= enough:
-                break
-            for cc in range(max(c - reach, 0), min(c + reach + 1, columns)):
-                other = rr * columns + cc
-                if other == cell[i] or first[other] < 0:
-                    continue
-                j = first[other]
-                while j < len(cell) and cell[j] == other:
-                    d = _apart(xyz, i, j)
-                    n += d <= reach_m and abs(xyz[j, 2] - xyz[i, 2]) <= step_m + slope * d
-                    j += 1
-        out[i] = n
-
-
-@njit()
-def _apart(xyz: NDArray[np.float64], i: int, j: int) -> float:
-    """Distance of two nodes, horizontally [m]."""
-    east, north = xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1]
-    return float(np.sqrt(east * east + north * north))
-
-
-@njit()
-def count_below(
-    xyz: NDArray[np.float64],
-    cell: NDArray[np.int64],
-    chosen: NDArray[np.bool_],
-    rows: int,
-    columns: int,
-    reach: int,
-    reach_m: float,
-    step_m: float,
-    slope: float,
-    out: NDArray[np.int64],
-) -> None:
-    """Chosen nodes near each node, and in its own cell, that lie clearly below it.
-
-    Parameters
-    ----------
-    xyz : (m, 3) float64
-        Nodes [m], in order of their cells.
-    cell : (m,) int64
-        Cell of each node.
+    nodes : Nodes
+        All nodes, in order of their cells.
     chosen : (m,) bool
         Nodes that count.
-    rows, columns : int
-        Shape of the grid.
-    reach : int
-        Cells to look at on each side [count].
-    reach_m : float
-        Farthest neighbour [m].
-    step_m, slope : float
-        A neighbour at distance d lies below by more than step_m + slope d [m, rise/run].
-    out : (m,) int64, written
-        Such nodes [count].
+    cells : Cells
+        The grid.
+    cell_m : float
+        Edge of a cell [m].
+    rule : Rule
+        At distance d nodes continue each other within ``step_m + slope d``.
+    below : bool
+        Whether nodes farther below count, in the own cell as well; else those that continue it in
+        other cells, along the contour at least.
+    asked : (m,) bool, optional
+        Nodes whose neighbours are counted, all by default; for others it is 0.
+    enough : int, optional
+        No row of cells is looked at where so many count already [count].
     """
-    picked = np.flatnonzero(chosen)  # few: looked for by themselves
-    first = _first_rows(cell[picked], rows * columns)
-    for i in range(len(cell)):
-        r, c = cell[i] // columns, cell[i] % columns
-        n = 0
-        for rr in range(max(r - reach, 0), min(r + reach + 1, rows)):
-            for cc in range(max(c - reach, 0), min(c + reach + 1, columns)):
-                k = first[rr * columns + cc]
-                while 0 <= k < len(picked) and cell[picked[k]] == rr * columns + cc:
+    out, picked = np.zeros(len(chosen), np.int64), np.flatnonzero(chosen)
+    which = np.arange(len(out)) if asked is None else np.flatnonzero(asked)
+    most = len(out) if enough is None else enough
+    grid = cells.rows, cells.columns
+    _count_around(nodes.xyz, nodes.cell, which, picked, grid, cell_m, rule, below, most, out)
+    return out
+
+
+@njit()
+def _count_around(
+    xyz: NDArray[np.float64], cell: NDArray[np.int64], which: NDArray[np.int64],
+    picked: NDArray[np.int64], grid: tuple[int, int], cell_m: float, rule: Rule,
+    below: bool,  # noqa: FBT001 - a kernel takes no keywords
+    most: int, out: NDArray[np.int64],
+) -> None:  # fmt: skip
+    """Fill for some nodes with how many of those picked count."""
+    rows, columns = grid
+    first = np.full(rows * columns, -1, np.int64)  # of those picked in each cell
+    for k in range(len(picked) - 1, -1, -1):
+        first[cell[picked[k]]] = k
+    for i in which:
+        r, c, z = cell[i] // columns, cell[i] % columns, xyz[i, 2]
+        for rr in range(max(r - rule.reach, 0), min(r + rule.reach + 1, rows)):
+            if out[i] >= most:
+                break
+            for cc in range(max(c - rule.reach, 0), min(c + rule.reach + 1, columns)):
+                other = rr * columns + cc
+                k = first[other] if below or other != cell[i] else -1
+                while 0 <= k < len(picked) and cell[picked[k]] == other:
                     j = picked[k]
-                    d = _apart(xyz, i, j)
-                    n += xyz[j, 2] < xyz[i, 2] - step_m - slope * d and d <= reach_m
+                    d = np.sqrt((xyz[j, 0] - xyz[i, 0]) ** 2 + (xyz[j, 1] - xyz[i, 1]) ** 2)
+                    if d <= rule.reach * cell_m:
+                        limit_m = rule.step_m + rule.slope * d
+                        rise_m = xyz[j, 2] - z
+                        out[i] += rise_m < -limit_m if below else abs(rise_m) <= limit_m
                     k += 1
-        out[i] = n

@@ -36,28 +36,6 @@ def octagon(radius: int) -> tuple[int, int]:
     return radius - diamond, diamond
 
 
-def opening(surface: Heights, radius: int) -> Heights:
-    """Grey opening by a regular octagon; edges are continued level.
-
-    Parameters
-    ----------
-    surface : (rows, columns) float32
-        Heights without gaps [m].
-    radius : int
-        Radius of the octagon [cells], >= 0.
-
-    Returns
-    -------
-    (rows, columns) float32
-    """
-    heights = surface.astype(np.float32)
-    opened = np.empty_like(heights)
-    room, size = _room(surface.shape, radius), octagon(radius)
-    at = _eroded(heights, 2 * radius, *size, room)
-    _dilated(room, at, *size, opened)
-    return opened
-
-
 def cut_off(
     surface: NDArray[np.floating], falls: NDArray[np.floating], asked: Mask | None = None
 ) -> Mask:
@@ -86,7 +64,7 @@ def cut_off(
     found = np.zeros(surface.shape, dtype=np.bool_)
     told = np.ones(surface.shape, np.bool_) if asked is None else np.ascontiguousarray(asked)
     sizes = np.array([octagon(radius) for radius in range(len(falls) + 1)])
-    ends, room = np.array(stages(len(falls))), _room(surface.shape, len(falls))
+    ends, room = np.array(stages(len(falls))), room_for(surface.shape, len(falls))
     heights = surface.astype(np.float32)
     _cut_off(heights, sizes, ends, falls.astype(np.float32), told, room, found)
     return found
@@ -101,7 +79,7 @@ def stages(largest: int) -> list[int]:
     return [*range(0, largest, _STEP), largest]
 
 
-def _room(shape: tuple[int, ...], radius: int) -> Heights:
+def room_for(shape: tuple[int, ...], radius: int) -> Heights:
     """Two grids with a margin beyond which no window begins that reaches a cell within."""
     return np.empty((2, shape[0] + 4 * radius, shape[1] + 4 * radius), dtype=np.float32)
 
@@ -117,13 +95,13 @@ def _cut_off(
         first, end = ends[k - 1] + 1, ends[k]
         margin = 2 * end - first
         rows, columns = last.shape[0] + 2 * margin, last.shape[1] + 2 * margin
-        at = _eroded(last, 2 * end, sizes[first, 0], sizes[first, 1], room)
+        at = erode(last, 2 * end, sizes[first, 0], sizes[first, 1], room)
         for r in range(rows):
             eroded[r, :columns] = room[at, r, :columns]
         # What is eroded by an octagon and what the next one has more is eroded by the next one.
         more = sizes[end] - sizes[first]
         at = _widen(room, at, rows, columns, more[0], more[1])
-        _dilated(room, at, sizes[end, 0], sizes[end, 1], opened)
+        dilate(room, at, sizes[end, 0], sizes[end, 1], opened)
         fall = falls[first - 1 : end].min()
         for top in range(0, last.shape[0], _PART):
             for left in range(0, last.shape[1], _PART):
@@ -134,7 +112,7 @@ def _cut_off(
                     for r in range(len(made) + 2 * first):
                         for c in range(made.shape[1] + 2 * first):
                             room[0, r, c] = eroded[corner[0] + r, corner[1] + c]
-                    _dilated(room, 0, sizes[first, 0], sizes[first, 1], made)
+                    dilate(room, 0, sizes[first, 0], sizes[first, 1], made)
                     _mark(last, made, opened, part, falls[first - 1], falls[end - 1], asked, out)
         last, opened = opened, last
 
@@ -168,7 +146,7 @@ def _active(
 
 
 @njit()
-def _eroded(heights: Heights, margin: int, square: int, diamond: int, room: Heights) -> int:
+def erode(heights: Heights, margin: int, square: int, diamond: int, room: Heights) -> int:
     """Erode a grid that goes on level for a margin; which grid has the result, its sign turned."""
     rows, columns = heights.shape[0] + 2 * margin, heights.shape[1] + 2 * margin
     for r in range(rows):
@@ -178,7 +156,7 @@ def _eroded(heights: Heights, margin: int, square: int, diamond: int, room: Heig
 
 
 @njit()
-def _dilated(room: Heights, at: int, square: int, diamond: int, out: Heights) -> None:
+def dilate(room: Heights, at: int, square: int, diamond: int, out: Heights) -> None:
     """Fill with the dilation of what was eroded, which has a margin of the octagon's radius."""
     reach = square + diamond
     rows, columns = out.shape[0] + 2 * reach, out.shape[1] + 2 * reach

@@ -28,9 +28,9 @@ from scipy import ndimage, special
 
 from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
 from spl_batch.airborne.ground.ground_trend import Trend, fit_trend, trend_at
-from spl_batch.airborne.ground.multiscale.ranging_layer import BLOCK_M, EVERYWHERE, STEEP, Spread
+from spl_batch.airborne.ground.multiscale.ranging_layer import EVERYWHERE, STEEP
 from spl_batch.airborne.ground.node_grids import lowest_nodes, plane_heights
-from spl_batch.airborne.ground.point_spacing import Squares, quantiles
+from spl_batch.airborne.ground.point_spacing import BLOCK_M, Blocks, no_counts, quantiles
 from spl_batch.airborne.ground.smrf import object_cells
 from spl_batch.numerics.compiled import njit
 
@@ -161,7 +161,7 @@ def _scale(xyz: Float, usable: Mask, cell_m: float) -> _Scale:
 
 
 def agreeing_nodes(
-    xyz: Float, usable: Mask, filled: Mask, sigma: Spread = EVERYWHERE, cell_m: float = CELL_M
+    xyz: Float, usable: Mask, filled: Mask, sigma: Blocks = EVERYWHERE, cell_m: float = CELL_M
 ) -> tuple[Mask, Mask]:
     """Nodes of the scale that the data have, block by block, and which of them stand out.
 
@@ -179,8 +179,8 @@ def agreeing_nodes(
         Nodes that may be chosen.
     filled : (n,) bool
         Nodes that are means of layers.
-    sigma : Spread
-        Standard deviation of a range.
+    sigma : Blocks
+        Standard deviation of a range [m].
     cell_m : float
         Edge of the smallest cells [m].
 
@@ -235,8 +235,8 @@ def _around(grid: NDArray[Any]) -> Float:
     return summed
 
 
-def depths_below(off: Float, x: Float, y: Float, frame: Squares | None = None) -> Squares:
-    """Points below the surface by depth, in blocks of :data:`BLOCK_M`, row by row.
+def depths_below(off: Float, x: Float, y: Float, frame: Blocks | None = None) -> Blocks:
+    """Points below the surface by blocks and depth.
 
     Parameters
     ----------
@@ -244,7 +244,7 @@ def depths_below(off: Float, x: Float, y: Float, frame: Squares | None = None) -
         Heights above the surface [m].
     x, y : (n,) float64
         Places [m]; n > 0.
-    frame : Squares, optional
+    frame : Blocks, optional
         Counts to add to, by default none yet of all blocks around the places.
     """
     if frame is None:
@@ -253,13 +253,9 @@ def depths_below(off: Float, x: Float, y: Float, frame: Squares | None = None) -
     return frame
 
 
-def no_depths(x: Float, y: Float) -> Squares:
+def no_depths(x: Float, y: Float) -> Blocks:
     """None yet, for all blocks around n > 0 places."""
-    left, right, bottom, top = (
-        int(np.floor(end / BLOCK_M)) for v in (x, y) for end in (v.min(), v.max())
-    )
-    counts = np.zeros((top - bottom + 1, right - left + 1, _DEPTHS + 1), np.int64)
-    return Squares(counts, (bottom, left))
+    return no_counts(x, y, _DEPTHS + 1)
 
 
 @njit()
@@ -272,12 +268,12 @@ def _count_depths(off: Float, x: Float, y: Float, out: Index, first: tuple[int, 
             out[row - first[0], column - first[1], depth] += 1
 
 
-def ends_within(heights: Squares, reach_m: Float) -> Mask:
+def ends_within(heights: Blocks, reach_m: Float) -> Mask:
     """Whether the layer of ground ends within a reach, as rough soil does and grass does not.
 
     Parameters
     ----------
-    heights : Squares
+    heights : Blocks
         Points above the surface, by :func:`depths_below` of what they are above it.
     reach_m : (block rows, block columns) float64
         Thickness of the layer [m].
@@ -288,7 +284,7 @@ def ends_within(heights: Squares, reach_m: Float) -> Mask:
         Whether a layer as thick above it holds at most :data:`_ENDS` of its points; never where
         both reach beyond what is counted.
     """
-    counted = np.cumsum(_around(heights.sums), axis=-1)
+    counted = np.cumsum(_around(heights.values), axis=-1)
     steps = np.rint(reach_m / _DEPTH_M).astype(np.int64)
     once, twice = (
         np.take_along_axis(counted, np.clip(k * steps - 1, 0, _DEPTHS)[..., None], -1)[..., 0]
@@ -298,12 +294,12 @@ def ends_within(heights: Squares, reach_m: Float) -> Mask:
     return ends
 
 
-def noise_below(depths: Squares) -> Squares:
+def noise_below(depths: Blocks) -> Blocks:
     """The same without points so deep that they are noise."""
-    return depths._replace(sums=depths.sums[..., :_DEPTHS])
+    return depths._replace(values=depths.values[..., :_DEPTHS])
 
 
-def spread_below(depths: Squares, share: float) -> Float:
+def spread_below(depths: Blocks, share: float) -> Float:
     """Standard deviation of a surface's points, by the depth that a share of those below reach.
 
     Ranging noise and rough ground scatter points to both sides of the surface, plants only upwards:
@@ -312,7 +308,7 @@ def spread_below(depths: Squares, share: float) -> Float:
 
     Parameters
     ----------
-    depths : Squares
+    depths : Blocks
         Points below the surface, by :func:`depths_below`.
     share : float
         Share of them.
@@ -322,7 +318,7 @@ def spread_below(depths: Squares, share: float) -> Float:
     (block rows, block columns) float64
         For each block, of it and those around; 0 without points below [m].
     """
-    depth = _DEPTH_M * quantiles(_around(depths.sums), share)
+    depth = _DEPTH_M * quantiles(_around(depths.values), share)
     spread: Float = depth / (np.sqrt(2.0) * special.erfinv(share))
     return spread
 

@@ -54,13 +54,6 @@ def _lowest(
                 out[row, column] = i
 
 
-def cells_of(xyz: Float, some: Index, cell_m: float) -> Index:
-    """Row and column of some nodes in that grid: (m, 2) int64."""
-    left, bottom, _, _ = _frame(xyz, cell_m)
-    cells = np.floor(xyz[some, 1::-1] / cell_m).astype(np.int64)
-    return cells - (bottom, left)
-
-
 def _frame(xyz: Float, cell_m: float) -> tuple[int, int, int, int]:
     """First column and row of the grid around all nodes, and its rows and columns."""
     left, right, bottom, top = (

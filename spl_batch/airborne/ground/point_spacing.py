@@ -1,7 +1,6 @@
-"""Mean spacing of points where there are any: voids are left out.
+"""Counts by blocks of an absolute grid, and the mean spacing of points where there are any.
 
-Points are counted in squares of the absolute lattice, so that ground cells agree where they
-overlap, and counts of parts of a cell add up.
+Ground cells agree on blocks where they overlap, and counts of parts of a cell add up.
 """
 
 import math
@@ -10,100 +9,88 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.ground.lowest_layers import count_squares
+from spl_batch.numerics.cell_groups import group_by_cell
 
-WIDE_M: Final = 16.0
-"""Edge of the squares that tell the occupied area from voids [m]."""
+BLOCK_M: Final = 16.0
+"""Edge of the blocks [m]: those without points are voids."""
 
 Float = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 
-class Squares(NamedTuple):
-    """Sums over squares of an absolute grid.
+class Blocks(NamedTuple):
+    """Values of blocks of an absolute grid, row by row.
 
     Parameters
     ----------
-    sums : (a, b) ndarray
-        One for each square.
+    values : (rows, columns, ...) ndarray
+        One or several for each block.
     first : (int, int)
-        Place of the first square in the grid, along either axis.
+        Row and column of the first block in the grid.
     """
 
-    sums: NDArray[Any]
+    values: NDArray[Any]
     first: tuple[int, int]
 
+    def index(self, x: Float, y: Float) -> tuple[Index, Index]:
+        """Row and column of the blocks that hold places, or of the nearest ones."""
+        row, column = (
+            np.clip(np.floor(v / BLOCK_M).astype(np.int64) - first, 0, size - 1)
+            for v, first, size in zip((y, x), self.first, self.values.shape[:2], strict=True)
+        )
+        return row, column
 
-def in_squares(x: Float, y: Float) -> Squares:
-    """Count n > 0 points in squares of :data:`WIDE_M`, column by column."""
-    ends = [int(np.floor(end / WIDE_M)) for v in (x, y) for end in (v.min(), v.max())]
-    count = np.zeros((ends[1] - ends[0] + 1, ends[3] - ends[2] + 1), dtype=np.int64)
-    count_squares(x, y, WIDE_M, ends[0], ends[2], count)
-    return Squares(count, (ends[0], ends[2]))
+    def at(self, x: Float, y: Float) -> NDArray[Any]:
+        """Values of the blocks that hold places [m], or of the nearest ones."""
+        return self.values[self.index(x, y)]
+
+    def over(self, first: tuple[int, int], shape: tuple[int, ...]) -> NDArray[Any]:
+        """Values of all blocks of a rectangle, by its first row and column: ``shape``."""
+        y, x = (BLOCK_M * (one + np.arange(n)) for one, n in zip(first, shape, strict=True))
+        return self.at(x[None, :], y[:, None])
+
+
+def no_counts(x: Float, y: Float, kinds: int) -> Blocks:
+    """None yet of some kinds, for all blocks around n > 0 places."""
+    bottom, top, left, right = (
+        int(np.floor(end / BLOCK_M)) for v in (y, x) for end in (v.min(), v.max())
+    )
+    counts = np.zeros((top - bottom + 1, right - left + 1, kinds), np.int64)
+    return Blocks(counts, (bottom, left))
+
+
+def count_points(x: Float, y: Float) -> Blocks:
+    """Count n > 0 points by blocks."""
+    cells = group_by_cell(x, y, BLOCK_M)
+    first = int(np.floor(y.min() / BLOCK_M)), int(np.floor(x.min() / BLOCK_M))
+    return Blocks(np.diff(cells.start).reshape(cells.rows, cells.columns), first)
 
 
 def spacing_m(x: Float, y: Float) -> float:
-    """Mean spacing of points where there are any, voids of :data:`WIDE_M` left out [m].
+    """Mean spacing of points where there are any, voids left out [m].
 
     Parameters
     ----------
     x, y : (n,) float64
         Places [m]; n > 0.
     """
-    return WIDE_M * math.sqrt(np.count_nonzero(in_squares(x, y).sums) / len(x))
+    return BLOCK_M * math.sqrt(np.count_nonzero(count_points(x, y).values) / len(x))
 
 
-def spacing_around_m(x: Float, y: Float, at_x: Float, at_y: Float) -> Float:
-    """Mean spacing of points around places; see :func:`spacing_at_m`.
+def spacings_m(x: Float, y: Float) -> Blocks:
+    """Mean spacing of n > 0 points in each block and those around, voids left out [m].
 
-    Parameters
-    ----------
-    x, y : (n,) float64
-        Points [m]; n > 0.
-    at_x, at_y : (m,) float64
-        Places [m].
+    For two more blocks on each side as well; the outermost have no points around, as places farther
+    out have none: there it is :data:`BLOCK_M`.
     """
-    return spacing_at_m(in_squares(x, y), at_x, at_y)
-
-
-def spacing_at_m(squares: Squares, at_x: Float, at_y: Float) -> Float:
-    """Mean spacing of points around places, by the nine squares of :data:`WIDE_M` [m].
-
-    Parameters
-    ----------
-    squares : Squares
-        The points, by :func:`in_squares`.
-    at_x, at_y : (m,) float64
-        Places [m].
-
-    Returns
-    -------
-    (m,) float64
-        Of the squares with points; :data:`WIDE_M` where none of the nine has any.
-    """
-    around = spacings(squares)
-    # Places farther out have no points around, as the outermost squares have none.
-    column = np.floor(at_x / WIDE_M).astype(np.int64) - around.first[0]
-    row = np.floor(at_y / WIDE_M).astype(np.int64) - around.first[1]
-    at = np.clip(column, 0, len(around.sums) - 1), np.clip(row, 0, len(around.sums[0]) - 1)
-    found: Float = around.sums[at]
-    return found
-
-
-def spacings(squares: Squares) -> Squares:
-    """Mean spacing of points around squares, and around two more on each side [m].
-
-    Parameters
-    ----------
-    squares : Squares
-        Points, by :func:`in_squares`.
-    """
-    around = np.pad(squares.sums, 2)
+    counted = count_points(x, y)
+    around = np.pad(counted.values, 2)
     points, held = (
         sum(np.roll(values, (i, j), axis=(0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1))
         for values in (around, (around > 0).astype(np.int64))
     )
-    spacing = WIDE_M * np.sqrt(np.maximum(held, 1) / np.maximum(points, 1))
-    return Squares(spacing, (squares.first[0] - 2, squares.first[1] - 2))
+    spacing = BLOCK_M * np.sqrt(np.maximum(held, 1) / np.maximum(points, 1))
+    return Blocks(spacing, (counted.first[0] - 2, counted.first[1] - 2))
 
 
 def quantiles(counts: NDArray[Any], share: float) -> Float:

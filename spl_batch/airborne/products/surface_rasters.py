@@ -39,7 +39,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.ground.water.level import REACH_M, Levels, flattened, in_water
+from spl_batch.airborne.ground.water.level import REACH_M, flattened, in_water, water_levels
 from spl_batch.airborne.products.cell_values import (
     by_cell,
     cell_number,
@@ -142,9 +142,7 @@ class _Surfaces:
         near = (table["ground"] == 1) & inside(table["x"], table["y"], self.region)
         ground = table.select(("x", "y", "z", "flags")).take(near)
         # Under a deck what is left of the water may hang together with no other.
-        levels = Levels(beyond=True)
-        levels.look(*in_water(ground)[1])
-        self._ground = flattened(ground, levels)
+        self._ground = flattened(ground, water_levels(*in_water(ground)[1], beyond=True))
 
     def rasters(self) -> dict[str, NDArray[np.float32]]:
         """Rasters as :func:`surfaces` returns them."""

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from spl_batch.airborne.ground.ground_methods import ground_mask, sparse_at
-from spl_batch.airborne.ground.point_spacing import in_squares
+from spl_batch.airborne.ground.point_spacing import spacings_m
 from spl_batch.airborne.settings import GroundSettings
 from spl_batch.lattice.tables import PointTable
 
@@ -158,10 +158,10 @@ def test_any_cloud_gets_an_answer(data: st.DataObject) -> None:
 
 def test_sparse_data_get_wider_cells() -> None:
     x, y = square(96 * 96 * 3, 96)
-    wide = sparse_at(in_squares(x, y), x, y, 1.0)
+    wide = sparse_at(spacings_m(x, y), x, y, 1.0)
     assert not wide.any()
     thin = (x < 48) | (np.arange(len(x)) % 3 == 0)
-    wide = sparse_at(in_squares(x[thin], y[thin]), x, y, 1.0)
+    wide = sparse_at(spacings_m(x[thin], y[thin]), x, y, 1.0)
     assert wide[x > 64].all()
     assert not wide[x < 32].any()
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from spl_batch.airborne.ground.morphology import cut_off, octagon, opening
+from spl_batch.airborne.ground.morphology import cut_off, dilate, erode, octagon, room_for
 
 
 def footprint(radius: int) -> np.ndarray:
@@ -13,6 +13,13 @@ def footprint(radius: int) -> np.ndarray:
     rows, columns = np.mgrid[-radius : radius + 1, -radius : radius + 1]
     beyond = np.maximum(np.abs(rows) - square, 0) + np.maximum(np.abs(columns) - square, 0)
     return beyond <= diamond
+
+
+def opening(surface: np.ndarray, radius: int) -> np.ndarray:
+    """Grey opening by an octagon; edges are continued level."""
+    opened, room, size = np.empty_like(surface), room_for(surface.shape, radius), octagon(radius)
+    dilate(room, erode(surface, 2 * radius, *size, room), *size, opened)
+    return opened
 
 
 @pytest.mark.parametrize("radius", [1, 2, 3, 5, 8, 13])

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from spl_batch.airborne.ground.ground_methods import ground_mask
 from spl_batch.airborne.ground.lowest_layers import lowest_layers
 from spl_batch.airborne.ground.pits import in_pits
-from spl_batch.airborne.ground.point_spacing import spacing_around_m, spacing_m
+from spl_batch.airborne.ground.point_spacing import spacing_m, spacings_m
 from spl_batch.airborne.ground.smrf import fill_gaps
 from spl_batch.airborne.settings import GroundSettings
 from spl_batch.lattice.tables import PointTable
@@ -241,15 +241,15 @@ def test_spacing_around_a_place_is_that_of_nine_squares_whatever_else_is_in_sigh
     keep = (x > -40) | (y > 200)
     x, y = x[keep], y[keep]
     at = rng.uniform(0, 90, 50), rng.uniform(130, 240, 50)
-    found = spacing_around_m(x, y, *at)
+    found = spacings_m(x, y).at(*at)
     square = [np.floor(v / 16).astype(int) for v in (x, y)]
     for k, (i, j) in enumerate(np.floor(np.transpose(at) / 16).astype(int)):
         near = (abs(square[0] - i) <= 1) & (abs(square[1] - j) <= 1)
         held = len(set(zip(square[0][near], square[1][near], strict=True)))
         assert found[k] == pytest.approx(16 * math.sqrt(held / near.sum()))
     part = (x > -33) & (x < 130) & (y > 90) & (y < 290)
-    np.testing.assert_array_equal(spacing_around_m(x[part], y[part], *at), found)
-    nowhere = spacing_around_m(x, y, np.array([900.0]), np.array([900.0]))
+    np.testing.assert_array_equal(spacings_m(x[part], y[part]).at(*at), found)
+    nowhere = spacings_m(x, y).at(np.array([900.0]), np.array([900.0]))
     np.testing.assert_array_equal(nowhere, 16.0)
 
 

@@ -6,7 +6,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
-from spl_batch.airborne.ground.lowest_layers import count_below, count_support, lowest_layers
+from spl_batch.airborne.ground.lowest_layers import Rule, count_around, lowest_layers
 from spl_batch.airborne.ground.ptd import Limits, densify, facet_fit, heights_above
 from spl_batch.numerics.cell_groups import group_by_cell
 from spl_batch.numerics.triangulation.tin import (
@@ -206,10 +206,11 @@ def test_support_agrees_with_all_pairs() -> None:
     cells = group_by_cell(xyz[:, 0], xyz[:, 1], 1.0)
     nodes = lowest_layers(*xyz.T, cells, 0.3)
     asked = np.random.default_rng(9).random(len(nodes.cell)) < 0.8
-    where = (nodes.xyz, nodes.cell, asked, cells.rows, cells.columns, 2, 2.0, 0.25, 0.35)
-    found, told = np.empty((2, len(nodes.cell)), dtype=np.int64)
-    count_support(*where, len(found), found)
-    count_support(*where, 2, told)
+    rule, every = Rule(2, 0.25, 0.35), np.ones(len(asked), np.bool_)
+    found, told = (
+        count_around(nodes, every, cells, 1.0, rule, below=False, asked=asked, enough=enough)
+        for enough in (None, 2)
+    )
     offset = nodes.xyz[:, None] - nodes.xyz[None]
     d = np.hypot(offset[..., 0], offset[..., 1])
     near = (d <= 2.0) & (np.abs(offset[..., 2]) <= 0.25 + 0.35 * d)
@@ -226,9 +227,7 @@ def test_what_lies_below_agrees_with_all_pairs() -> None:
     cells = group_by_cell(xyz[:, 0], xyz[:, 1], 1.0)
     nodes = lowest_layers(*xyz.T, cells, 0.3)
     chosen = np.random.default_rng(8).random(len(nodes.cell)) < 0.7
-    found = np.empty(len(nodes.cell), dtype=np.int64)
-    shape = (cells.rows, cells.columns)
-    count_below(nodes.xyz, nodes.cell, chosen, *shape, 2, 2.0, 0.5, 0.5, found)
+    found = count_around(nodes, chosen, cells, 1.0, Rule(2, 0.5, 0.5), below=True)
     offset = nodes.xyz[:, None] - nodes.xyz[None]
     d = np.hypot(offset[..., 0], offset[..., 1])
     below = (d <= 2.0) & (offset[..., 2] > 0.5 + 0.5 * d) & chosen[None]

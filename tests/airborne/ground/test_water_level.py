@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.classes.point_classes import classify
 from spl_batch.airborne.ground.ground_methods import ground_mask
-from spl_batch.airborne.ground.water.level import Levels, flattened, in_water
+from spl_batch.airborne.ground.water.level import Levels, flattened, in_water, water_levels
 from spl_batch.airborne.ground.water.off_water import off_surface
 from spl_batch.airborne.products.surface_rasters import surfaces
 from spl_batch.airborne.settings import GroundSettings, ProductSettings
@@ -33,9 +33,7 @@ def differ(a: tuple[int, int], b: tuple[int, int]) -> tuple[int, int]:
 
 def water_level(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> NDArray[np.int64]:
     """Level of the water around each of its returns, from all of them at once."""
-    levels = Levels()
-    levels.look(x, y, z)
-    return levels.at(x, y) if len(z) else np.empty(0, np.int64)
+    return water_levels(x, y, z).at(x, y)
 
 
 def slow_level(x: NDArray[np.int64], y: NDArray[np.int64], z: NDArray[np.int64]) -> list[int]:
@@ -193,9 +191,7 @@ def test_only_what_lies_at_the_surface_is_put_on_it() -> None:
 
 def level_of(ground: PointTable) -> Levels:
     """The level of the water among some ground, all at once."""
-    levels = Levels(beyond=True)
-    levels.look(*in_water(ground)[1])
-    return levels
+    return water_levels(*in_water(ground)[1], beyond=True)
 
 
 def points(x: Float, y: Float, z: Float, wet: NDArray[np.bool_] | bool = True) -> PointTable:  # noqa: FBT001, FBT002

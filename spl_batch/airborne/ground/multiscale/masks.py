@@ -20,11 +20,7 @@ from spl_batch.airborne.ground.multiscale.near_surface import (
 )
 from spl_batch.airborne.ground.multiscale.node_planes import under_planes, without_plants
 from spl_batch.airborne.ground.multiscale.raised_patches import on_houses
-from spl_batch.airborne.ground.multiscale.ranging_layer import (
-    BLOCK_M,
-    EVERYWHERE,
-    Spread,
-)
+from spl_batch.airborne.ground.multiscale.ranging_layer import EVERYWHERE
 from spl_batch.airborne.ground.multiscale_surface import (
     ABOVE_SIGMA,
     CELL_M,
@@ -39,7 +35,7 @@ from spl_batch.airborne.ground.multiscale_surface import (
     spread_below,
 )
 from spl_batch.airborne.ground.node_grids import lowest_nodes, nearest_node
-from spl_batch.airborne.ground.point_spacing import in_squares, spacing_around_m, spacings
+from spl_batch.airborne.ground.point_spacing import Blocks, spacings_m
 from spl_batch.numerics.cell_groups import group_by_cell
 
 _LAYER_SIGMA = 3.0
@@ -64,7 +60,7 @@ Mask = NDArray[np.bool_]
 Place = tuple[Float, Float, Float]
 
 
-def multiscale_mask(places: Place, own: Mask, asked: Mask, sigma: Spread = EVERYWHERE) -> Mask:
+def multiscale_mask(places: Place, own: Mask, asked: Mask, sigma: Blocks = EVERYWHERE) -> Mask:
     """Ground points by a surface whose scale follows the data.
 
     Parameters
@@ -73,8 +69,8 @@ def multiscale_mask(places: Place, own: Mask, asked: Mask, sigma: Spread = EVERY
         x, y, z [m].
     own, asked : (n,) bool
         Evidence, at least one; points to be judged.
-    sigma : Spread
-        Standard deviation of a range.
+    sigma : Blocks
+        Standard deviation of a range [m].
 
     Returns
     -------
@@ -86,7 +82,8 @@ def multiscale_mask(places: Place, own: Mask, asked: Mask, sigma: Spread = EVERY
     x, y, z = (v[order] for v in places)
     own, asked = own[order], asked[order]
     evidence = _of((x, y, z), own)
-    surface, off = _ground_surface(evidence, sigma)
+    apart = spacings_m(*evidence[:2])
+    surface, off = _ground_surface(evidence, apart, sigma)
     found = np.zeros(len(x), np.bool_)
     if surface is None:
         return found[: int(asked.sum())]
@@ -101,13 +98,13 @@ def multiscale_mask(places: Place, own: Mask, asked: Mask, sigma: Spread = EVERY
     # Halves of heights: layers of twice the thickness are counted.
     heights = depths_below(-0.5 * off_m, x[at], y[at], no_depths(*evidence[:2]))
     rough_m = np.where(ends_within(heights, 0.5 * ABOVE_SIGMA * rough_m), rough_m, 0.0)
-    sigma_m = np.maximum(sigma.over(depths.first, depths.sums.shape[:2]), rough_m)
+    sigma_m = np.maximum(sigma.over(depths.first, depths.values.shape[:2]), rough_m)
     reach = (
         ABOVE_SIGMA * np.maximum(spread_below(depths, MOST), sigma_m),
         _BELOW_SIGMA * np.maximum(spread_below(depths, _TAIL), sigma_m),
+        depths.first,
     )
-    around = spacings(in_squares(*evidence[:2]))
-    within(near, (x, y), *around, reach, depths.first, _BAND_SPACINGS, found)
+    within(near, (x, y), apart, reach, _BAND_SPACINGS, found)
     judged, by_place = np.empty((2, len(x)), np.bool_)
     judged[order], by_place[order] = found, asked
     return judged[by_place]
@@ -121,7 +118,7 @@ def _of(places: Place, chosen: Mask) -> Place:
     return x, y, z
 
 
-def _ground_surface(evidence: Place, sigma: Spread) -> tuple[Surface | None, Float]:
+def _ground_surface(evidence: Place, apart: Blocks, sigma: Blocks) -> tuple[Surface | None, Float]:
     """Surface of the ground, None where no point is believed; its nodes' heights off planes."""
     xyz, filled, doubtful = _nodes(evidence, sigma)
     if not len(xyz):
@@ -133,24 +130,23 @@ def _ground_surface(evidence: Place, sigma: Spread) -> tuple[Surface | None, Flo
     ground &= ~on_houses(xyz, ground)
     ground[ground] = ~under_planes(xyz[ground], filled[ground], doubtful[ground])
     x, y, _ = xyz[ground].T
-    nodes, off = without_plants(xyz[ground], spacing_around_m(*evidence[:2], x, y))
+    nodes, off = without_plants(xyz[ground], apart.at(x, y))
     return surface_of(nodes), off
 
 
-def _nodes(evidence: Place, sigma: Spread) -> tuple[Float, Mask, Mask]:
+def _nodes(evidence: Place, sigma: Blocks) -> tuple[Float, Mask, Mask]:
     """Nodes (n, 3) [m]; those of several returns in the layer, and of few below many others."""
     x, y, z = evidence
     cells = group_by_cell(x, y, CELL_M)
     south, west = (int(np.floor(v.min() / CELL_M)) for v in (y, x))
-    along = (south + np.arange(cells.rows), west + np.arange(cells.columns))
-    row, column = (np.floor(cell * CELL_M / BLOCK_M).astype(np.int64) for cell in along)
-    sigma_m = sigma.at(row[:, None], column[None, :]).ravel()
+    east, north = west + np.arange(cells.columns), south + np.arange(cells.rows)
+    sigma_m = sigma.at(CELL_M * east[None, :], CELL_M * north[:, None]).ravel()
     thin_m = _LAYER_SIGMA * sigma_m
     crowded = np.diff(cells.start) >= _CROWDED
     nodes = lowest_layers(x, y, z, cells, np.where(crowded, thin_m, np.maximum(thin_m, _LAYER_M)))
-    above = ~sunk(nodes, cells.rows, cells.columns, CELL_M)
+    above = ~sunk(nodes, cells, CELL_M)
     # A single return below many others is ground where its neighbours continue it, else noise.
     if nodes.doubtful.any():
-        above &= ~nodes.doubtful | supported(nodes, cells.rows, cells.columns, CELL_M)
+        above &= ~nodes.doubtful | supported(nodes, cells, CELL_M)
     filled = nodes.points >= SUPPORTED
     return nodes.xyz[above], filled[above], nodes.doubtful[above]

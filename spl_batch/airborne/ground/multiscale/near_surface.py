@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from spl_batch.airborne.ground.multiscale.ranging_layer import BLOCK_M
-from spl_batch.airborne.ground.point_spacing import WIDE_M, Squares, spacing_m
+from spl_batch.airborne.ground.point_spacing import BLOCK_M, Blocks, spacing_m
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.triangulation.tin import (
     Tin,
@@ -238,7 +237,7 @@ def _near(
     return held
 
 
-def needed(x: Float, y: Float, own: Mask, asked: Mask, blocks: Squares) -> Mask:
+def needed(x: Float, y: Float, own: Mask, asked: Mask, blocks: Blocks) -> Mask:
     """Points that are asked, and those of evidence in their blocks and around: (n,) bool.
 
     Parameters
@@ -246,33 +245,15 @@ def needed(x: Float, y: Float, own: Mask, asked: Mask, blocks: Squares) -> Mask:
     x, y : (n,) float64
         Places [m].
     own, asked : (n,) bool
-        Evidence, which tells of the blocks, and points to be told.
-    blocks : Squares
-        The blocks, of :data:`BLOCK_M`, row by row; the nearest one counts beyond them.
+        Evidence, which is counted by blocks, and points to be judged.
+    blocks : Blocks
+        The blocks; the nearest one counts beyond them.
     """
-    some, found = np.zeros(blocks.sums.shape[:2], np.bool_), asked.copy()
-    _mark_blocks(x, y, asked, blocks.first, some)
-    _in_blocks(x, y, own, blocks.first, ndimage.binary_dilation(some, np.ones((3, 3), bool)), found)
+    some, (row, column) = np.zeros(blocks.values.shape[:2], np.bool_), blocks.index(x, y)
+    some[row[asked], column[asked]] = True
+    around = ndimage.binary_dilation(some, np.ones((3, 3), np.bool_))
+    found: Mask = asked | own & around[row, column]
     return found
-
-
-@njit()
-def _mark_blocks(x: Float, y: Float, asked: Mask, first: tuple[int, int], out: Mask) -> None:
-    """Mark the blocks of what is asked."""
-    for i in range(len(x)):
-        if asked[i]:
-            r, c = _block(x[i], y[i], first, out.shape)
-            out[r, c] = True
-
-
-@njit()
-def _in_blocks(
-    x: Float, y: Float, chosen: Mask, first: tuple[int, int], blocks: Mask, out: Mask
-) -> None:  # fmt: skip
-    """Mark what is chosen in some blocks as well."""
-    for i in range(len(x)):
-        if chosen[i]:
-            out[i] |= blocks[_block(x[i], y[i], first, blocks.shape)]
 
 
 @njit()
@@ -285,8 +266,8 @@ def _block(x: float, y: float, first: tuple[int, int], shape: tuple[int, int]) -
 @njit()
 def within(
     near: tuple[Index, Float, Float], place: tuple[Float, Float],
-    spacing_m: Float, first_square: tuple[int, int],
-    reach_m: tuple[Float, Float], first_block: tuple[int, int], spacings: float, out: Mask,
+    spacing: tuple[Float, tuple[int, int]], reach: tuple[Float, Float, tuple[int, int]],
+    spacings: float, out: Mask,
 ) -> None:  # fmt: skip
     """Mark the points that lie on a surface.
 
@@ -296,28 +277,20 @@ def within(
         Points that may.
     place : two (n,) float64
         Eastings and northings of all points [m].
-    spacing_m : (columns, rows) float64
-        Mean spacing of points in squares [m].
-    first_square : (int, int)
-        Column and row of the first of these.
-    reach_m : two (rows, columns) float64
-        How far ground reaches above and below a level surface, by blocks [m].
-    first_block : (int, int)
-        Row and column of the first of these.
+    spacing : Blocks
+        Mean spacing of points [m].
+    reach : two (rows, columns) float64, (int, int)
+        How far ground reaches above and below a level surface, by blocks [m], and row and column of
+        the first of these.
     spacings : float
         It reaches so many spacings at least.
     out : (n,) bool
         Filled.
     """
-    (at, off, slope), (x, y), (above, below) = near, place, reach_m
+    (at, off, slope), (x, y), (above, below, first) = near, place, reach
     for k in range(len(at)):
         i = at[k]
-        c = int(np.floor(x[i] / WIDE_M)) - first_square[0]
-        r = int(np.floor(y[i] / WIDE_M)) - first_square[1]
-        spacing = spacing_m[
-            min(max(c, 0), spacing_m.shape[0] - 1), min(max(r, 0), spacing_m.shape[1] - 1)
-        ]
-        r, c = _block(x[i], y[i], first_block, above.shape)
-        reach = above[r, c] if off[k] > 0.0 else below[r, c]
-        level = min(max(reach, spacings * spacing), BAND_M)
-        out[i] = abs(off[k]) <= level + min(spacing, SLOPE_M) * slope[k]
+        apart_m = spacing[0][_block(x[i], y[i], spacing[1], spacing[0].shape)]
+        reach_m = (above if off[k] > 0.0 else below)[_block(x[i], y[i], first, above.shape)]
+        level = min(max(reach_m, spacings * apart_m), BAND_M)
+        out[i] = abs(off[k]) <= level + min(apart_m, SLOPE_M) * slope[k]

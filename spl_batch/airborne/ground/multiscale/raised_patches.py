@@ -24,8 +24,6 @@ from spl_batch.airborne.ground.multiscale.grown_ground import steps_to_wall
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.nearest_cells import nearest_cells
 
-DOMAIN: Final = "space"
-
 SQUARE_M: Final = 2.0
 """Edge of the squares, if cells are no larger [m]."""
 
@@ -43,7 +41,7 @@ MOST: Final = 12
 LEAST_M2: Final = 60.0
 """Area of a small house [m2]."""
 
-FEWEST: Final = 6
+MIN_SQUARES_PER_PLANE: Final = 6
 """Squares with ground that determine a plane [count]."""
 
 NARROW: Final = 2.0
@@ -189,7 +187,7 @@ def _rings(mine: Mask) -> tuple[Mask, Mask]:
 def is_flat(heights: Grid, known: Mask, edge_m: float) -> bool:
     """Whether some squares lie on a plane that is hardly tilted."""
     row, column = np.nonzero(known)
-    if len(row) < FEWEST:
+    if len(row) < MIN_SQUARES_PER_PLANE:
         return False
     design = np.column_stack([np.ones(len(row)), row * edge_m, column * edge_m])
     plane = np.linalg.lstsq(design, heights[known], rcond=None)[0]

@@ -14,13 +14,13 @@ neighbouring ground cells would decide differently, and the terrain had a step b
 even to steep, and from bare to overgrown, the spread goes over by degrees.
 """
 
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from spl_batch.airborne.ground.point_spacing import Squares, quantiles
+from spl_batch.airborne.ground.point_spacing import BLOCK_M, Blocks, no_counts, quantiles
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.numerics.cell_groups import Cells, group_by_cell
 from spl_batch.numerics.compiled import njit
@@ -32,11 +32,8 @@ SIGMA_M: Final = 0.025
 COVERED: Final = 2.0
 """Told spreads of more than so many of the least one are believed: flightlines show them."""
 
-BLOCK_M: Final = 16.0
-"""Edge of the blocks [m]: two of the squares below."""
-
 CELL_M: Final = 1.0
-FEWEST: Final = 10
+MIN_RETURNS_PER_CELL: Final = 10
 EVERY: Final = 5
 """Edge of the cells that are looked at [m], points that they hold, and one in how many it is."""
 
@@ -55,8 +52,8 @@ ROUGH: Final = 1.5
 
 QUARTER_M: Final = 8.0
 STEEP: Final = 0.7
-"""Edge of the squares whose lowest returns are compared [m], and the rise between those of a block
-of four over that edge at which it is steep: 35 degrees."""
+"""Edge of the squares whose lowest returns are compared, half of a block [m], and the rise between
+those of a block over that edge at which it is steep: 35 degrees."""
 
 STEEP_SHARE: Final = (0.05, 0.15)
 """Share of the blocks that is steep from which on the stated spread counts in part, and alone."""
@@ -75,40 +72,11 @@ Float = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
-class Spread(NamedTuple):
-    """Ranging spread by blocks of an absolute grid; beyond them that of the nearest one.
-
-    Parameters
-    ----------
-    sigma_m : (rows, columns) float64
-        Standard deviation of a range [m].
-    first : (int, int)
-        Row and column of the first block.
-    """
-
-    sigma_m: Float
-    first: tuple[int, int]
-
-    def at(self, row: Index, column: Index) -> Float:
-        """That of some blocks, by row and column of the grid [m]."""
-        rows, columns = self.sigma_m.shape
-        found: Float = self.sigma_m[
-            np.clip(row - self.first[0], 0, rows - 1),
-            np.clip(column - self.first[1], 0, columns - 1),
-        ]
-        return found
-
-    def over(self, first: tuple[int, int], shape: tuple[int, ...]) -> Float:
-        """That of all blocks of a rectangle: ``shape`` float64 [m]."""
-        row, column = (corner + np.arange(size) for corner, size in zip(first, shape, strict=True))
-        return self.at(row[:, None], column[None, :])
+EVERYWHERE: Final = Blocks(np.full((1, 1), SIGMA_M), (0, 0))
+"""Ranging spread where flightlines have none: the least one [m]."""
 
 
-EVERYWHERE: Final = Spread(np.full((1, 1), SIGMA_M), (0, 0))
-"""The least one, where flightlines tell nothing."""
-
-
-def evidence(x: Float, y: Float, z: Float, told_m: NDArray[np.floating]) -> Squares:
+def evidence(x: Float, y: Float, z: Float, told_m: NDArray[np.floating]) -> Blocks:
     """What n > 0 points show of their ranges and their terrain, by blocks, row by row.
 
     Parts of a cloud that cut no block add up.
@@ -122,26 +90,22 @@ def evidence(x: Float, y: Float, z: Float, told_m: NDArray[np.floating]) -> Squa
 
     Returns
     -------
-    Squares
+    Blocks
         Of int64: (rows, columns, STEPS + 4), cells by scatter, whether all four squares of a block
         hold returns, whether it is steep, and the largest spread that is told in it.
     """
-    left, right, bottom, top = (
-        int(np.floor(end / BLOCK_M)) for v in (x, y) for end in (v.min(), v.max())
-    )
-    shown = np.zeros((top - bottom + 1, right - left + 1, STEPS + 4), np.int64)
-    found = Squares(shown, (bottom, left))
+    found = no_counts(x, y, STEPS + 4)
     _add_scatter(x, y, z, found)
     _add_squares(x, y, z, told_m, found)
     return found
 
 
 def _add_squares(
-    x: Float, y: Float, z: Float, told_m: NDArray[np.floating], out: Squares
+    x: Float, y: Float, z: Float, told_m: NDArray[np.floating], out: Blocks
 ) -> None:  # fmt: skip
     """Fill in which blocks are whole and steep, and the spread that is told in them."""
     bottom, left = (round(BLOCK_M / QUARTER_M) * corner for corner in out.first)
-    rows, columns, _ = out.sums.shape
+    rows, columns, _ = out.values.shape
     cells = group_by_cell(x, y, QUARTER_M)
     full = np.flatnonzero(np.diff(cells.start) > 0)
     first = cells.start[full]
@@ -158,9 +122,9 @@ def _add_squares(
         for square in (low, told)
     )
     rise = low.max(axis=2) - low.min(axis=2)
-    out.sums[:, :, _WHOLE] = np.isfinite(rise)
-    out.sums[:, :, _STEEP] = rise > STEEP * QUARTER_M
-    out.sums[:, :, _TOLD] = np.rint(_TENTHS_MM * np.fmax.reduce(told, axis=2, initial=0.0))
+    out.values[:, :, _WHOLE] = np.isfinite(rise)
+    out.values[:, :, _STEEP] = rise > STEEP * QUARTER_M
+    out.values[:, :, _TOLD] = np.rint(_TENTHS_MM * np.fmax.reduce(told, axis=2, initial=0.0))
 
 
 def off_planes(x: Float, y: Float, z: Float, cells: Cells, fewest: int) -> Float:
@@ -215,7 +179,7 @@ def _off_planes(
         out[cell] = rest / QUANTA_PER_M**2
 
 
-def _add_scatter(x: Float, y: Float, z: Float, out: Squares) -> None:
+def _add_scatter(x: Float, y: Float, z: Float, out: Blocks) -> None:
     """Add cells by their scatter about a plane, in steps, and the rougher ones.
 
     One cell of :data:`EVERY` is looked at.
@@ -227,23 +191,23 @@ def _add_scatter(x: Float, y: Float, z: Float, out: Squares) -> None:
     x, y, z = x[some], y[some], z[some]
     cells = group_by_cell(x, y, CELL_M)
     count = np.diff(cells.start)
-    told = np.flatnonzero(count >= FEWEST)
+    told = np.flatnonzero(count >= MIN_RETURNS_PER_CELL)
     count = count[told]
-    squares = off_planes(x, y, z, cells, FEWEST)[told] * count / (count - 3)
+    squares = off_planes(x, y, z, cells, MIN_RETURNS_PER_CELL)[told] * count / (count - 3)
     step = np.minimum(np.sqrt(np.maximum(squares, 0.0)) / STEP_M, STEPS).astype(np.int64)
     at = [
         np.floor(((along + int(np.floor(v.min() / CELL_M))) * CELL_M) / BLOCK_M).astype(np.int64)
         for along, v in zip(np.divmod(told, cells.columns), (y, x), strict=True)
     ]
-    np.add.at(out.sums, (at[0] - out.first[0], at[1] - out.first[1], step), 1)
+    np.add.at(out.values, (at[0] - out.first[0], at[1] - out.first[1], step), 1)
 
 
-def reckoned(shown: Squares) -> Spread:
+def reckoned(shown: Blocks) -> Blocks:
     """Ranging spread to reckon with, by what a cloud shows, as :func:`evidence` has it."""
     around = (3, 3, 1)
-    counts = ndimage.correlate(shown.sums[:, :, :_TOLD], np.ones(around, int), mode="constant")
+    counts = ndimage.correlate(shown.values[:, :, :_TOLD], np.ones(around, int), mode="constant")
     scatter = counts[:, :, : STEPS + 1]
-    told_m = ndimage.maximum_filter(shown.sums[:, :, _TOLD], around[:2], mode="constant")
+    told_m = ndimage.maximum_filter(shown.values[:, :, _TOLD], around[:2], mode="constant")
     told_m = told_m / _TENTHS_MM
     stated = _share(counts[:, :, _STEEP] / np.maximum(counts[:, :, _WHOLE], 1), *STEEP_SHARE)
     bare_m = CHANCE * STEP_M * quantiles(scatter, QUANTILE)
@@ -253,7 +217,7 @@ def reckoned(shown: Squares) -> Spread:
     sigma_m[(told_m <= SIGMA_M) | ~scatter.any(axis=2)] = SIGMA_M
     sure = told_m > COVERED * SIGMA_M
     sigma_m[sure] = told_m[sure]
-    return Spread(sigma_m, shown.first)
+    return Blocks(sigma_m, shown.first)
 
 
 def _share(value: Float, none: Float | float, all_: Float | float) -> Float:

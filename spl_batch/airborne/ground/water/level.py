@@ -25,8 +25,6 @@ from scipy import ndimage
 from spl_batch.lattice.tables import PointFlag, PointTable
 from spl_batch.lattice.tiles import cell_index, quanta
 
-DOMAIN: Final = "space"
-
 CELL_M: Final = 5.0
 """Edge of the absolute cells in which the top layer is looked for [m]."""
 
@@ -59,85 +57,66 @@ Heights = NDArray[np.int64]
 Float = NDArray[np.float64]
 
 
-class _Cells(NamedTuple):
-    """Some returns by cell, highest first.
+class Levels(NamedTuple):
+    """Levels of water by cells.
 
     Parameters
     ----------
-    order : (n,) intp
-        Rows of the returns.
-    start : (m + 1,) intp
-        Where each cell begins in ``order``.
-    place : tuple of (m,) int64
-        Column and row of each cell.
+    first : (int, int)
+        Column and row of the first cell.
+    number : (columns, rows) int64
+        Number of each cell on from there, -1 without water.
+    level : (m,) int64
+        Level of each numbered cell [quanta]; :data:`NOWHERE` where it is not known.
     """
 
-    order: NDArray[np.intp]
-    start: NDArray[np.intp]
-    place: tuple[Heights, Heights]
-
-
-class Levels:
-    """Levels of water whose returns come part by part, those of a cell in one part.
-
-    All are to be looked at before a level is asked for.
-
-    Parameters
-    ----------
-    beyond : bool
-        Where what hangs together with a return tells no level, the water around it does.
-    """
-
-    def __init__(self, *, beyond: bool = False) -> None:
-        self._beyond = beyond
-        self._tops: list[tuple[Heights, Heights, Float]] = []
-        self._made: tuple[tuple[int, int], Heights, Heights] | None = None
-
-    def look(self, x: Heights, y: Heights, z: Heights) -> None:
-        """Take in some returns in water polygons, on the absolute lattice [quanta]."""
-        if len(z):
-            cells = _by_cell(x, y, z)
-            self._tops.append((*cells.place, _tops(z[cells.order], cells.start)))
-
-    @property
-    def seen(self) -> bool:
-        """Whether there is any water."""
-        return bool(self._tops)
+    first: tuple[int, int]
+    number: Heights
+    level: Heights
 
     def at(self, x: Heights, y: Heights) -> Heights:
         """Level at places in water: (n,) [quanta]; :data:`NOWHERE` where it is not known."""
-        (column, row), number, level = self._levels()
-        i, j = self._place(x, y)
-        at: Heights = number[i - column, j - row]
-        return level[at]
+        i, j = self._cell(x, y)
+        at: Heights = self.number[i, j]
+        return self.level[at]
 
     def near(self, x: NDArray[Any], y: NDArray[Any], cells: int) -> NDArray[np.bool_]:
         """Which places lie in a cell with water, or so many cells beside one: (n,) bool."""
-        if not self.seen:
-            return np.zeros(len(x), np.bool_)
-        (column, row), number, _ = self._levels()
-        around = ndimage.maximum_filter(np.pad(number >= 0, cells), 2 * cells + 1)
-        i, j = self._place(x, y)
-        i, j = i - (column - cells), j - (row - cells)
+        around = ndimage.maximum_filter(np.pad(self.number >= 0, cells), 2 * cells + 1)
+        i, j = (along + cells for along in self._cell(x, y))
         there: NDArray[np.bool_] = (i >= 0) & (i < around.shape[0])
         there &= (j >= 0) & (j < around.shape[1])
         there[there] = around[i[there], j[there]]
         return there
 
-    def _place(self, x: NDArray[Any], y: NDArray[Any]) -> tuple[Heights, Heights]:
+    def _cell(self, x: NDArray[Any], y: NDArray[Any]) -> tuple[Heights, Heights]:
+        """Column and row of the cells of places, on from the first one."""
         edge = quanta(CELL_M)
-        return cell_index(x, edge), cell_index(y, edge)
+        return cell_index(x, edge) - self.first[0], cell_index(y, edge) - self.first[1]
 
-    def _levels(self) -> tuple[tuple[int, int], Heights, Heights]:
-        """First column and row, number of each cell on from there (-1 without water), levels."""
-        if self._made is None:
-            i, j, tops = (np.concatenate(parts) for parts in zip(*self._tops, strict=True))
-            first = int(i.min()), int(j.min())
-            shape = int(i.max()) - first[0] + 1, int(j.max()) - first[1] + 1
-            number = np.full(shape, -1, np.int64)
-            number[i - first[0], j - first[1]] = np.arange(len(tops))
-            self._made = first, number, _median_around(tops, (i, j), beyond=self._beyond)
-        return self._made
+
+def water_levels(x: Heights, y: Heights, z: Heights, *, beyond: bool = False) -> Levels:
+    """Levels of the water that some returns lie in.
+
+    Parameters
+    ----------
+    x, y, z : (n,) int64
+        Returns in water polygons, on the absolute lattice [quanta].
+    beyond : bool
+        Where what is connected with a cell shows no level, the water around it does.
+    """
+    if not len(z):
+        return Levels((0, 0), np.full((1, 1), -1, np.int64), np.empty(0, np.int64))
+    i, j = (cell_index(along, quanta(CELL_M)) for along in (x, y))
+    order = np.lexsort((-z, i, j))
+    i, j = i[order], j[order]
+    new = np.flatnonzero(np.diff(i, prepend=i[0] - 1) | np.diff(j, prepend=j[0]))
+    tops, i, j = _tops(z[order], np.append(new, len(z))), i[new], j[new]
+    first = int(i.min()), int(j.min())
+    i, j = i - first[0], j - first[1]
+    number = np.full((int(i.max()) + 1, int(j.max()) + 1), -1, np.int64)
+    number[i, j] = np.arange(len(tops))
+    return Levels(first, number, _median_around(tops, (i, j), beyond=beyond))
 
 
 def flattened(ground: PointTable, levels: Levels) -> PointTable:
@@ -179,15 +158,6 @@ def in_water(
     rows = np.flatnonzero(wet if usable is None else wet & usable)
     x, y, z = (table[axis][rows].astype(np.int64) for axis in "xyz")
     return rows, (x, y, z)
-
-
-def _by_cell(x: Heights, y: Heights, z: Heights) -> _Cells:
-    edge = quanta(CELL_M)
-    i, j = cell_index(x, edge), cell_index(y, edge)
-    order = np.lexsort((-z, i, j))
-    i, j = i[order], j[order]
-    first = np.flatnonzero(np.diff(i, prepend=i[0] - 1) | np.diff(j, prepend=j[0]))
-    return _Cells(order, np.append(first, len(z)), (i[first], j[first]))
 
 
 def _tops(z: Heights, start: NDArray[np.intp]) -> Float:

@@ -24,13 +24,11 @@ from spl_batch.airborne.ground.water.level import (
     TOP_COUNT,
     TOP_SHARE,
     Heights,
-    Levels,
     in_water,
+    water_levels,
 )
 from spl_batch.lattice.tables import PointFlag, PointTable
 from spl_batch.lattice.tiles import cell_index, quanta
-
-DOMAIN: Final = "space"
 
 LAND_CELL_M: Final = 2.5
 """Edge of the absolute cells in which land is dense [m]; whole ones make up one of a level."""
@@ -72,8 +70,7 @@ def off_surface(table: PointTable, usable: NDArray[np.bool_]) -> NDArray[np.bool
     water, (x, y, z) = in_water(table, usable)
     if not len(z):
         return out
-    levels = Levels()
-    levels.look(x, y, z)
+    levels = water_levels(x, y, z)
     level = levels.at(x, y)
     above = water[(z > level + quanta(NEAR_M)) & (level > NOWHERE)]
     out[water[z < level - quanta(NEAR_M)]] = True

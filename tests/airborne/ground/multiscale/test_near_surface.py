@@ -13,8 +13,7 @@ from spl_batch.airborne.ground.multiscale.near_surface import (
     surface_of,
     within,
 )
-from spl_batch.airborne.ground.multiscale.ranging_layer import BLOCK_M
-from spl_batch.airborne.ground.point_spacing import WIDE_M, Squares
+from spl_batch.airborne.ground.point_spacing import BLOCK_M, Blocks
 from spl_batch.numerics.triangulation.tin import interpolate, vertex_slopes
 
 Float = NDArray[np.float64]
@@ -77,7 +76,7 @@ def test_evidence_around_what_is_asked_is_needed() -> None:
     x, y = (v.ravel() for v in np.meshgrid(edge, edge))
     asked = np.arange(36) == 14  # third row, third column
     own = np.arange(36) != 8
-    found = needed(x, y, own, asked, Squares(np.zeros((6, 6, 1)), (0, 0)))
+    found = needed(x, y, own, asked, Blocks(np.zeros((6, 6, 1)), (0, 0)))
     near = np.maximum(abs(np.arange(36) // 6 - 2), abs(np.arange(36) % 6 - 2)) <= 1
     assert np.array_equal(found, near & own | asked)
 
@@ -87,13 +86,13 @@ def test_points_within_the_band_are_those_of_the_formula() -> None:
     x, y = rng.uniform(-40, 100, (2, 3000))
     at = np.sort(rng.choice(3000, 2000, replace=False))
     off, slope = rng.normal(0, 1, 2000), rng.uniform(0, 1, 2000)
-    spacing = rng.uniform(0.2, 3, (4, 5))
+    spacing = rng.uniform(0.2, 3, (5, 4))
     above, below = rng.uniform(0.05, 0.7, (2, 3, 4))
     found = np.zeros(3000, np.bool_)
-    within((at, off, slope), (x, y), spacing, (-1, 0), (above, below), (0, 1), 0.25, found)
+    within((at, off, slope), (x, y), Blocks(spacing, (0, -1)), (above, below, (0, 1)), 0.25, found)
     expected = np.zeros(3000, np.bool_)
     for i, up, rise in zip(at, off, slope, strict=True):
-        square = np.clip(np.floor([x[i] / WIDE_M + 1, y[i] / WIDE_M]), 0, [3, 4]).astype(int)
+        square = np.clip(np.floor([y[i] / BLOCK_M, x[i] / BLOCK_M + 1]), 0, [4, 3]).astype(int)
         block = np.clip(np.floor([y[i] / BLOCK_M, x[i] / BLOCK_M - 1]), 0, [2, 3]).astype(int)
         apart, reach = spacing[*square], (above if up > 0 else below)[*block]
         band = min(max(reach, 0.25 * apart), BAND_M) + min(apart, SLOPE_M) * rise

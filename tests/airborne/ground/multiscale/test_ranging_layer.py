@@ -12,11 +12,11 @@ from spl_batch.airborne.ground.multiscale.ranging_layer import (
     STEEP,
     STEEP_SHARE,
     STEPS,
-    Spread,
     evidence,
     off_planes,
     reckoned,
 )
+from spl_batch.airborne.ground.point_spacing import Blocks
 from spl_batch.numerics.cell_groups import group_by_cell
 
 Float = NDArray[np.float64]
@@ -37,9 +37,9 @@ def told_by(places: tuple[Float, Float, Float], told_m: float) -> Float:
     return np.full(len(places[0]), told_m)
 
 
-def middle(spread: Spread) -> float:
+def middle(spread: Blocks) -> float:
     """Spread of a block that has others all around, in the cloud's middle [m]."""
-    return float(spread.at(np.array([1]), np.array([1]))[0])
+    return float(spread.values[1, 1])
 
 
 @pytest.mark.parametrize(
@@ -122,7 +122,7 @@ def test_steep_blocks_are_counted_by_hand(seed: int) -> None:
     whole = [list(block.values()) for block in lowest.values() if len(block) == 4]
     steep = [block for block in whole if max(block) - min(block) > STEEP * QUARTER_M]
     if len(x):
-        shown = evidence(x, y, z, np.zeros(len(x))).sums
+        shown = evidence(x, y, z, np.zeros(len(x))).values
         assert shown[:, :, STEPS + 1 : STEPS + 3].sum(axis=(0, 1)).tolist() == [
             len(whole),
             len(steep),
