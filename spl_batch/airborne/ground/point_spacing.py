@@ -16,6 +16,7 @@ BLOCK_M: Final = 16.0
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
+Places = NDArray[np.floating[Any]]
 
 
 class Blocks(NamedTuple):
@@ -32,7 +33,7 @@ class Blocks(NamedTuple):
     values: NDArray[Any]
     first: tuple[int, int]
 
-    def index(self, x: Float, y: Float) -> tuple[Index, Index]:
+    def numbers(self, x: Places, y: Places) -> tuple[Index, Index]:
         """Row and column of the blocks that hold places, or of the nearest ones."""
         row, column = (
             np.clip(np.floor(v / BLOCK_M).astype(np.int64) - first, 0, size - 1)
@@ -40,9 +41,9 @@ class Blocks(NamedTuple):
         )
         return row, column
 
-    def at(self, x: Float, y: Float) -> NDArray[Any]:
+    def at(self, x: Places, y: Places) -> NDArray[Any]:
         """Values of the blocks that hold places [m], or of the nearest ones."""
-        return self.values[self.index(x, y)]
+        return self.values[self.numbers(x, y)]
 
     def over(self, first: tuple[int, int], shape: tuple[int, ...]) -> NDArray[Any]:
         """Values of all blocks of a rectangle, by its first row and column: ``shape``."""

@@ -103,7 +103,7 @@ def surface_of(nodes: Float) -> Surface:
         nowhere = Tops(np.empty((0, 0)), SQUARE_M, (0, 0))
         return Surface(nodes, np.zeros((len(nodes), 2)), None, np.empty(0), nowhere)
     slopes = vertex_slopes(tin)
-    edge_m = max(SQUARE_M, SPACINGS * spacing_m(nodes[:, 0], nodes[:, 1]))
+    edge_m = max(SQUARE_M, SPACINGS * spacing_m(*nodes[:, :2].T.copy()))
     left, right, bottom, top = (
         int(np.floor(end / edge_m)) for v in nodes[:, :2].T for end in (v.min(), v.max())
     )
@@ -249,7 +249,7 @@ def needed(x: Float, y: Float, own: Mask, asked: Mask, blocks: Blocks) -> Mask:
     blocks : Blocks
         The blocks; the nearest one counts beyond them.
     """
-    some, (row, column) = np.zeros(blocks.values.shape[:2], np.bool_), blocks.index(x, y)
+    some, (row, column) = np.zeros(blocks.values.shape[:2], np.bool_), blocks.numbers(x, y)
     some[row[asked], column[asked]] = True
     around = ndimage.binary_dilation(some, np.ones((3, 3), np.bool_))
     found: Mask = asked | own & around[row, column]
