@@ -17,7 +17,6 @@ from rasterio.windows import Window
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.errors import InputError, WorkflowError
 from spl_batch.formats.crs import (
-    GEO_KEYS,
     WKT_KEY,
     compound,
     crs_name,
@@ -29,6 +28,7 @@ from spl_batch.formats.crs import (
     stretch_problem,
     vertical,
 )
+from spl_batch.formats.geotiff_keys import GEO_KEYS
 from spl_batch.formats.las.chunks import LASZIP_KEY, RecordReader
 from spl_batch.formats.las.frame import Frame, preamble, wkt_vlr, write_laz
 from spl_batch.formats.las.header import WKT_BIT, read_header

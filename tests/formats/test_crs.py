@@ -10,8 +10,6 @@ from pyproj import CRS
 
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.crs import (
-    GEO_KEYS,
-    crs_from_geotiff,
     crs_problems,
     heights_ratio,
     other_heights,
@@ -21,6 +19,7 @@ from spl_batch.formats.crs import (
     vertical,
     with_vertical,
 )
+from spl_batch.formats.geotiff_keys import GEO_KEYS, crs_from_geotiff
 from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.formats.units import US_FOOT, Units
 

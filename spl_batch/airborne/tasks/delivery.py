@@ -156,12 +156,12 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
     names = (*_DELIVERED, *_DIAGNOSTICS * diagnostics, *("set_flags",) * flags)
     names += (*(HEIGHT,) * heights, *("flags",) * bool(asked.drop))
     labels, classes = _FileLabels(args, context, names), np.zeros((2, 256), np.int64)
-    header = read_header(Path(args["path"]))
-    dropping = Dropping(asked.drop, args["points"], header, context) if asked.drop else None
     target = context.output / "laz" / args["delivered"]
     source = Path(args["path"])
     stamp = as_indexed("index_file", args, context)
     with unchanged(source, stamp):
+        header = read_header(source)
+        dropping = Dropping(asked.drop, args["points"], header, context) if asked.drop else None
         written = write_classified(
             source,
             target,

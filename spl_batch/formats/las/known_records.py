@@ -15,11 +15,9 @@ from pyproj.exceptions import CRSError, ProjError
 
 from spl_batch.errors import brief, is_fault, one_line, plain
 from spl_batch.formats.crs import (
-    GEO_KEYS,
     NAMELESS,
     WKT_KEY,
     compound,
-    crs_from_geotiff,
     crs_from_wkt,
     crs_name,
     horizontal,
@@ -27,6 +25,7 @@ from spl_batch.formats.crs import (
     same_heights,
     vertical,
 )
+from spl_batch.formats.geotiff_keys import GEO_KEYS, crs_from_geotiff
 from spl_batch.formats.las.chunks import LASZIP_KEY
 from spl_batch.formats.las.frame import wkt_vlr
 from spl_batch.formats.las.header import (
