@@ -218,7 +218,11 @@ def _numbers(index: list[NDArray[np.int64]]) -> tuple[NDArray[np.int64], NDArray
     Raises ValueError if there are more of them than keys.
     """
     above = [along - along.min(initial=0) for along in index]
-    key = np.ravel_multi_index(above, [int(along.max(initial=0)) + 1 for along in above])
+    size = [int(along.max(initial=0)) + 1 for along in above]
+    try:
+        key = np.ravel_multi_index(above, size)
+    except ValueError:
+        raise ValueError(f"{size} voxels are too many for a region; choose larger ones") from None
     _, number, count = np.unique(key, return_inverse=True, return_counts=True)
     return number.astype(np.int64), count
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.filter.denoise import METHODS, denoise, reach_m
 from spl_batch.airborne.filter.ellipsoid.ellipsoid_shape import Shape
-from spl_batch.airborne.filter.published import shot_noise
+from spl_batch.airborne.filter.published import _numbers, shot_noise
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.lattice.tables import BeamTable, PointFlag, canonical_order
 from tests.airborne.beams.test_differential_cell_count import slow_dcc
@@ -224,3 +224,9 @@ def test_what_shots_said_becomes_the_label() -> None:
     assert METHODS["dcc"].reach_m(FilterSettings(method="dcc")) == 0.0
     other = denoise(table, np.full(6, 0.1), everything, FilterSettings(method="cylinder"))
     assert (other["noise_class"] == [1, 1, 1, 255, 1, 1]).all()
+
+
+def test_more_voxels_than_keys_ask_for_larger_ones() -> None:
+    far = np.array([0, 2**31 - 1])
+    with pytest.raises(ValueError, match="too many"):
+        _numbers([far, far, far])
