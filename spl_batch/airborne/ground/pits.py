@@ -37,7 +37,7 @@ PIT_REACH_M = 2.0
 _AGREE_M = 0.4
 """Heights of pairs agree within this: ranging spread and roughness of a meadow [m]."""
 
-_DEPTH_M = 0.25
+PIT_DEPTH_M = 0.25
 """A pit is deeper than this below the lowest of the agreeing heights, or below the plane [m]."""
 
 _OWN_M = 0.2
@@ -143,7 +143,7 @@ def _below(height: NDArray[np.float64], firm: NDArray[np.int64], z: float, share
     own = higher = 0
     for h in height:
         own += abs(h - z) <= _OWN_M
-        higher += h > z + _DEPTH_M
+        higher += h > z + PIT_DEPTH_M
     if higher < max(_ENOUGH, _OUTVOTE * own):
         return False
     order = order_of(height)
@@ -154,7 +154,7 @@ def _below(height: NDArray[np.float64], firm: NDArray[np.int64], z: float, share
             ends += firm[order[end]]
             end += 1
         agreeing = end - first
-        if agreeing >= max(_ENOUGH, _OUTVOTE * own) and low > z + _DEPTH_M:
+        if agreeing >= max(_ENOUGH, _OUTVOTE * own) and low > z + PIT_DEPTH_M:
             near = low <= z + _LEAVES_M and 2 * agreeing >= end
             if near or (2 * agreeing >= pairs and ends >= share * agreeing):
                 return True

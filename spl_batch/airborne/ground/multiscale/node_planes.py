@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from spl_batch.airborne.ground.multiscale.near_surface import SLOPE_M
+from spl_batch.airborne.ground.pits import PIT_DEPTH_M
 from spl_batch.numerics.compiled import njit
 
 NEAREST: Final = 20
@@ -34,9 +35,6 @@ ABOVE: Final = 3.0
 SPREAD_M: Final = 0.05
 SPREAD: Final = 0.7
 """Least spread of nodes about their planes [m], and that in spacings of the points."""
-
-NOISE_M: Final = 0.25
-"""A node that lies less far below the plane of those around is no noise [m]."""
 
 SIDES: Final = 8
 LEAST: Final = 2.5
@@ -125,7 +123,7 @@ def _below_planes(nodes: Float, judged: Index, around: Index) -> Mask:
         weight[i] = 0.0
         counted, above, _, scatter = _plane(nodes, around[k], weight, i, 0.0, 0.0)
         weight[i] = 1.0
-        out[k] = counted >= LEAST and -above > max(NOISE_M, ABOVE * scatter)
+        out[k] = counted >= LEAST and -above > max(PIT_DEPTH_M, ABOVE * scatter)
     return out
 
 
