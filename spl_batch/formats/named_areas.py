@@ -15,9 +15,8 @@ import shapely
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import InputError, named
-from spl_batch.formats.vector_files import POLYGONS, in_crs, read_layers
+from spl_batch.formats.vector_files import POLYGONS, contains, in_crs, read_layers
 
 SLIVER_M: Final = 0.001
 """Half the width of an overlap that rounding explains; it belongs to the first area [m]."""
@@ -122,7 +121,4 @@ def lies_in(
         Coordinates [quanta].
     """
     east, north = NUDGE_Q
-    inside: NDArray[np.bool_] = shapely.contains_xy(
-        shape, (x + east) / QUANTA_PER_M, (y + north) / QUANTA_PER_M
-    )
-    return inside
+    return contains(shape, x + east, y + north)

@@ -257,7 +257,7 @@ def read_polygons(path: Path, crs: CRS | None) -> shapely.Geometry:
 
 
 def contains(
-    geometry: shapely.Geometry, x: NDArray[np.int64], y: NDArray[np.int64]
+    geometry: shapely.Geometry, x: NDArray[np.number[Any]], y: NDArray[np.number[Any]]
 ) -> NDArray[np.bool_]:
     """Which points lie inside a geometry: (n,) bool, points on the boundary are outside.
 
@@ -265,7 +265,7 @@ def contains(
     ----------
     geometry : Geometry
         From :func:`read_polygons`.
-    x, y : (n,) int64
+    x, y : (n,) number
         Coordinates [quanta].
     """
     west, south, east, north = shapely.bounds(geometry) * QUANTA_PER_M

@@ -191,13 +191,18 @@ class Tally:
             "prf_hz": {str(k): estimate_prf(_all_bins(v)) for k, v in sorted(self._steps.items())},
         }
 
+    @property
+    def chunk_boxes(self) -> NDArray[np.int64]:
+        """West, south, east, north of each chunk, (m, 4) [quanta]."""
+        return np.array(self.boxes, np.int64).reshape(-1, 4)
+
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """All of it as arrays by name, to be stored."""
         arrays: dict[str, NDArray[Any]] = {
             "counts": np.array(list(self.counts.values())),
             "bounds": np.array([self._low, self._high]),
             "channels": np.array(sorted(self._channels), np.int64),
-            "boxes": np.array(self.boxes, np.int64).reshape(-1, 4),
+            "boxes": self.chunk_boxes,
             "lines": np.array(sorted(self._rates), np.int64),
         }
         for psid, rate in self._rates.items():

@@ -99,8 +99,7 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
     tally = found.tally
     index = context.store.path("index", f"{args['source']}.npz")
     tracks = {f"{psid}/{k}": v for psid, t in sorted(tally.tracks.items()) for k, v in t.items()}
-    boxes = {BOXES: np.array(tally.boxes, np.int64).reshape(-1, 4)}
-    write_arrays(index, tracks | found.extent.to_arrays() | boxes)
+    write_arrays(index, tracks | found.extent.to_arrays() | {BOXES: tally.chunk_boxes})
     contradiction = contradicted_bit(tally.standard, adjusted_bit=header.adjusted_standard_bit)
     known = tally.facts()
     facts = {
