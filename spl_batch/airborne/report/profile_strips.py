@@ -52,6 +52,7 @@ def read_strip(
         table["classification"],
         (strip.ymax - strip.ymin) * QUANTUM_M,
         (strip.xmin * QUANTUM_M, middle_m, strip.xmax * QUANTUM_M, middle_m),
+        context.units,
     )
 
 
