@@ -76,7 +76,8 @@ class Reprojection:
         if wanted is not None and mine is None:
             raise WorkflowError(
                 f"{KEY}: {crs_name(wanted)} is named, and nothing says what the survey's heights "
-                "are above: name it in survey.vertical_crs"
+                "are above: name it in survey.vertical_crs; from the ellipsoid to a geoid leads "
+                "outputs.geoid"
             )
         self.crs = named if wanted is not None or mine is None else compound(named, mine)
         self._to, self._survey = Units.of(self.crs), survey

@@ -261,7 +261,7 @@ class TestPictures:
                 elif not label.endswith("[ft]"):
                     assert label in before
         assert sum(label.endswith("[ft]") for label in labels) == 6
-        assert "ft (" in drawn[-2].axes[0].get_title()
+        assert re.search(r"RMSE \S+\sft \(\S+\scm\)", drawn[-2].axes[0].get_title(loc="left"))
 
     def test_the_order_of_points_does_not_show(self) -> None:
         profile = make_profile(np.random.default_rng(1))
