@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,7 +14,7 @@ from rasterio.transform import Affine
 from rasterio.windows import Window
 
 from spl_batch.constants import NODATA, QUANTUM_M
-from spl_batch.errors import InputError, WorkflowError
+from spl_batch.errors import WorkflowError
 from spl_batch.formats.crs import (
     WKT_KEY,
     compound,
@@ -34,16 +33,13 @@ from spl_batch.formats.las.frame import Frame, preamble, wkt_vlr, write_laz
 from spl_batch.formats.las.header import WKT_BIT, read_header
 from spl_batch.formats.las.records import EXTRA_BYTES_KEY, HEIGHT, added
 from spl_batch.formats.rasters.geotiff import write_cog
-from spl_batch.formats.rasters.parts import RasterPart, opened
+from spl_batch.formats.rasters.parts import BLOCK, RasterPart, centres, opened, windows
 from spl_batch.formats.units import Units
 
 KEY: Final = "outputs.crs"
 
 _CHUNK: Final = 500_000
 """Points that are converted at once [count]."""
-
-_BLOCK: Final = 1024
-"""Rows and columns of a raster that are made at once, of cells no coarser than before [cells]."""
 
 _EDGE_POINTS: Final = 21
 """Points along an edge of a raster by which its extent elsewhere is found [count]."""
@@ -160,13 +156,8 @@ class Reprojection:
                 for start in range(0, header.n_points, _CHUNK):
                     given = reader.read(start, min(start + _CHUNK, header.n_points))
                     raw = np.column_stack([given[axis] for axis in "XYZ"])
-                    moved = self.places(raw * header.scales + header.offsets)
-                    steps = np.rint((moved - frame.offsets) / frame.scales)
-                    if not np.abs(steps).max() < 2**31:  # a NaN is none either
-                        raise InputError(str(src), f"points have no place in {crs_name(self.crs)}")
                     records = given.copy()
-                    for axis, values in zip("XYZ", steps.T, strict=True):
-                        records[axis] = values
+                    frame.place(records, self.places(raw * header.scales + header.offsets), src)
                     for field in above:
                         records[field] *= np.float32(self._ratio)
                     yield records
@@ -213,11 +204,8 @@ class Reprojection:
         units, mine = Units.of(self._survey), source.transform
         _, unit_m = units.of_values(unit)
         finer = mine.a * units.horizontal_m / (place.a * self._to.horizontal_m)
-        block = max(1, int(_BLOCK * min(1.0, finer)))
-        for row, col in product(range(0, shape[0], block), range(0, shape[1], block)):
-            rows, cols = min(block, shape[0] - row), min(block, shape[1] - col)
-            at = np.meshgrid(col + np.arange(cols) + 0.5, row + np.arange(rows) + 0.5)
-            there = place.c + at[0] * place.a, place.f + at[1] * place.e
+        for window in windows(*map(range, shape), max(1, int(BLOCK * min(1.0, finer)))):
+            there = centres((place.c, place.f), place.a, window)
             x, y = self._flat.transform(*there, direction=TransformDirection.INVERSE)
             values = _sampled(source, x, y)
             if above_datum and self._whole is not None:
@@ -226,7 +214,8 @@ class Reprojection:
                 values[known] = self.places(xyz)[:, 2] * self._to.vertical_m
             else:
                 values *= unit_m
-            yield row, col, np.where(np.isnan(values), NODATA, values).astype(np.float32)
+            kept = np.where(np.isnan(values), NODATA, values).astype(np.float32)
+            yield window.row_off, window.col_off, kept
 
 
 def _sampled(source: Any, x: Places, y: Places) -> Places:

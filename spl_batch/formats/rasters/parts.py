@@ -22,6 +22,9 @@ from spl_batch.constants import NODATA
 from spl_batch.errors import DamagedError
 from spl_batch.formats.units import Units, metres_in
 
+BLOCK: Final = 1024
+"""Rows and columns of a raster that are read or made at once [cells]."""
+
 LARGEST: Final = 1200
 """Cells that a side of an overview may have [count]."""
 
@@ -176,6 +179,32 @@ def opened(path: Path, **options: int) -> Iterator[Any]:
             yield source
     except RasterioError as error:
         raise DamagedError(path, error) from error
+
+
+def windows(rows: range, columns: range, edge: int, *, beyond: int = 0) -> Iterator[Window]:
+    """Cover some rows and columns, each piece up to ``edge`` cells wide and high.
+
+    ``beyond``: cells that a piece shares with the next one.
+    """
+    for row in rows[::edge]:
+        for column in columns[::edge]:
+            size = (
+                min(edge + beyond, side.stop - at) for side, at in ((columns, column), (rows, row))
+            )
+            yield Window(column, row, *size)
+
+
+def centres(
+    corner: tuple[float, float], cell: float, window: Window
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Eastings and northings of a window's cells, (rows, columns) each.
+
+    ``corner``: left and upper edge of the raster, in the unit of ``cell``.
+    """
+    east = corner[0] + (window.col_off + np.arange(window.width) + 0.5) * cell
+    north = corner[1] - (window.row_off + np.arange(window.height) + 0.5) * cell
+    x, y = np.meshgrid(east, north)
+    return x, y
 
 
 def _reduced(size: tuple[int, int], largest: int) -> tuple[int, tuple[int, int]]:
