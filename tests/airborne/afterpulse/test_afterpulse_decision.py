@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse import afterpulse_decision, foliage
 from spl_batch.airborne.afterpulse.returns_behind_planes import behind_plane, parents_of
-from spl_batch.airborne.beams.shot_runs import beamlets_of
 from spl_batch.airborne.afterpulse.weighted_counts import UNIT, weigh_around
+from spl_batch.airborne.beams.shot_runs import beamlets_of
 from spl_batch.airborne.settings import AfterpulseSettings
 from spl_batch.airborne.steps import STEPS
 from spl_batch.lattice.tables import PointFlag, PointTable, canonical_order
