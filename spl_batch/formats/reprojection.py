@@ -11,6 +11,7 @@ from pyproj import CRS, Transformer
 from pyproj.enums import TransformDirection
 from pyproj.exceptions import ProjError
 from rasterio.transform import Affine
+from rasterio.windows import Window
 
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.errors import WorkflowError
@@ -178,16 +179,19 @@ class Reprojection:
             As of :func:`~spl_batch.formats.rasters.geotiff.write_cog`; lengths in ``m``.
         """
         with opened(src) as source:
-            bounds, units = source.bounds, Units.of(self._survey)
+            (left, bottom, right, top), units = source.bounds, Units.of(self._survey)
             finer = source.transform.a * units.horizontal_m / (cell * self._to.horizontal_m)
-        west, south, east, north = self._flat.transform_bounds(*bounds, densify_pts=_EDGE_POINTS)
+        west, south, east, north = self._flat.transform_bounds(
+            left, bottom, right, top, densify_pts=_EDGE_POINTS
+        )
         column, row = math.floor(west / cell), math.ceil(north / cell)
         shape = row - math.floor(south / cell), math.ceil(east / cell) - column
         corner = column * cell, row * cell
 
         def blocks() -> Iterator[tuple[int, int, NDArray[np.float32]]]:
             """Lengths in metres."""
-            for window in windows(*map(range, shape), max(1, int(BLOCK * min(1.0, finer)))):
+            whole = Window(0, 0, shape[1], shape[0])
+            for window in windows(whole, max(1, int(BLOCK * min(1.0, finer)))):
                 x, y = (side.ravel() for side in centres(corner, cell, window))
                 places = self._flat.transform(x, y, direction=TransformDirection.INVERSE)
                 xy = np.column_stack(places)

@@ -76,7 +76,7 @@ def _short_id(name: str, href: str) -> str:
 def write_stac(output: Path, delivery: Delivery) -> list[Path]:
     """Write ``stac/collection.json``, ``stac/items.json``, the items and ``survey.vpc``."""
     clouds = [*delivery.clouds, *delivery.reprojected]
-    ids = _item_ids([one.href for one in (*clouds, *delivery.rasters)])
+    ids = _item_ids([one.href for one in clouds] + [one.href for one in delivery.rasters])
     items = [_cloud_item(ids[one.href], one, delivery) for one in clouds]
     items += [_raster_item(ids[one.href], one, delivery) for one in delivery.rasters]
     boxes = [list(item.bbox or ()) for item in items]

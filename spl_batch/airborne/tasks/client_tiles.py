@@ -11,6 +11,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 from rasterio.transform import Affine
+from rasterio.windows import Window
 
 from spl_batch.airborne.catalogue.catalogues import Layer, write_layers
 from spl_batch.airborne.catalogue.delivered_files import CLIENT_TILES, CONTOURS
@@ -108,10 +109,13 @@ def _cut_raster(source: Path, target: Path, area: shapely.Geometry) -> bool:
         first_row = max(math.floor((top_m - north) / cell_m + EVEN), 0)
         last_row = min(math.ceil((top_m - south) / cell_m - EVEN), rows)
 
+        if first_col >= last_col or first_row >= last_row:
+            return False
+        whole = Window(first_col, first_row, last_col - first_col, last_row - first_row)
+
         def blocks() -> Iterator[tuple[int, int, NDArray[Any]]]:
             """Those that hold anything."""
-            cells = range(first_row, last_row), range(first_col, last_col)
-            for window in parts.windows(*cells, parts.BLOCK):
+            for window in parts.windows(whole, parts.BLOCK):
                 values = model.read(1, window=window)
                 x, y = parts.centres((left_m, top_m), cell_m, window)
                 inside = lies_in(area, x.ravel() * QUANTA_PER_M, y.ravel() * QUANTA_PER_M)
@@ -126,7 +130,7 @@ def _cut_raster(source: Path, target: Path, area: shapely.Geometry) -> bool:
         write_cog(
             target,
             chain([first], some),
-            shape=(last_row - first_row, last_col - first_col),
+            shape=(whole.height, whole.width),
             place=model.transform * Affine.translation(first_col, first_row),
             crs=model.crs.to_wkt() if model.crs else None,
             description=model.descriptions[0] or source.name,
@@ -142,9 +146,9 @@ def deliver_contours(args: Mapping[str, Any], context: Context) -> Produced:
     interval = args["interval"]
     pieces: dict[int, list[shapely.Geometry]] = {}
     with parts.opened(context.output / "dtm.tif") as model:
-        place, cells, crs = model.transform, map(range, model.shape), model.crs
+        place, whole, crs = model.transform, Window(0, 0, model.width, model.height), model.crs
         # Blocks share the cells along their edges: their lines end at the same places.
-        for window in parts.windows(*cells, parts.BLOCK, beyond=1):
+        for window in parts.windows(whole, parts.BLOCK, beyond=1):
             values = model.read(1, window=window, masked=True)
             if min(values.shape) < 2 or not values.count():
                 continue

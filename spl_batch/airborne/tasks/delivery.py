@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rasterio.windows import Window
 
 from spl_batch.airborne.catalogue.catalogues import write_catalogues
 from spl_batch.airborne.catalogue.delivered_files import Publisher
@@ -322,7 +323,7 @@ def deliver_geoid(args: Mapping[str, Any], context: Context) -> Produced:
 
     def blocks() -> Iterator[tuple[int, int, NDArray[np.float32]]]:
         nonlocal beyond
-        for window in windows(*map(range, model.shape), BLOCK):
+        for window in windows(Window(0, 0, model.width, model.height), BLOCK):
             heights = model.read(1, window=window)
             x, y = centres((left_m, top_m), cell_m, window)
             height_m = heights * context.units.vertical_m

@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
@@ -181,17 +182,16 @@ def opened(path: Path, **options: int) -> Iterator[Any]:
         raise DamagedError(path, error) from error
 
 
-def windows(rows: range, columns: range, edge: int, *, beyond: int = 0) -> Iterator[Window]:
-    """Cover some rows and columns, each piece up to ``edge`` cells wide and high.
+def windows(whole: Window, edge: int, *, beyond: int = 0) -> Iterator[Window]:
+    """Pieces of a window, each up to ``edge`` cells wide and high.
 
     ``beyond``: cells that a piece shares with the next one.
     """
-    for row in rows[::edge]:
-        for column in columns[::edge]:
-            size = (
-                min(edge + beyond, side.stop - at) for side, at in ((columns, column), (rows, row))
-            )
-            yield Window(column, row, *size)
+    top, left = int(whole.row_off), int(whole.col_off)
+    bottom, right = top + int(whole.height), left + int(whole.width)
+    for row, col in product(range(top, bottom, edge), range(left, right, edge)):
+        width, height = min(edge + beyond, right - col), min(edge + beyond, bottom - row)
+        yield Window(col, row, width, height)
 
 
 def centres(
