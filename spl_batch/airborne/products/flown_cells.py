@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import convolve
 from scipy.spatial import KDTree
 
 from spl_batch.airborne.products.cell_values import cell_number, held, shape_of
@@ -31,6 +32,7 @@ def about_ground(
 
     The ground around is the median of the :data:`NEAREST` raster cells with ground that are nearest
     to the return's: where noise is taken for ground beyond the edge of a swath, it is one or two.
+    Amid cells with ground light has met it at any height.
 
     ``ground``: (m, 3), mean places of raster cells with ground, from the region's corner; without
     any all returns count. ``size``: edge of a raster cell [quanta].
@@ -38,15 +40,18 @@ def about_ground(
     there = inside(table["x"], table["y"], region)
     if not len(ground):
         return there
-    rows = np.flatnonzero(there)
+    rows, columns = np.flatnonzero(there), shape_of(region, size)[1]
     number = cell_number(table.select(("x", "y")).take(rows), region, size)
-    height = np.full(shape_of(region, size), np.nan)
-    height.ravel()[number] = 0.0
-    row, column = np.nonzero(height == 0.0)
-    centres = np.column_stack([column, row]) * size + 0.5 * size
+    beside = np.zeros(shape_of(region, size), np.int64)
+    beside[tuple((ground[:, 1::-1] // size).astype(np.int64).T)] = 1
+    amid = convolve(beside, np.ones((3, 3), np.int64), mode="constant") >= NEAREST
+    asked = ~amid.ravel()[number]
+    cells, of_cell = np.unique(number[asked], return_inverse=True)
+    centres = (np.column_stack([cells % columns, cells // columns]) + 0.5) * size
     nearest = KDTree(ground[:, :2]).query(centres, np.arange(min(NEAREST, len(ground))) + 1)[1]
-    height[row, column] = np.median(ground[nearest, 2], axis=1)
-    there[rows] = np.abs(table["z"][rows] - height.ravel()[number]) <= quanta(NEAR_GROUND_M)
+    height = np.median(ground[nearest, 2], axis=1)[of_cell]
+    rows = rows[asked]
+    there[rows] = np.abs(table["z"][rows] - height) <= quanta(NEAR_GROUND_M)
     return there
 
 
