@@ -94,6 +94,12 @@ flightlines; elsewhere it changes over tens of metres."""
 EXACT: Final = 2.0**20
 """Parts of an expected return: whole ones add up alike in any blocks."""
 
+EACH, THREE, ONE = (np.ones(n, np.int64) for n in (WINDOW, 3, 1))
+"""Weights of cubes along the edge of a square, of three layers, and of one."""
+
+UPRIGHT: Final = np.ones((1, 1, 3), np.bool_)
+"""A cube, the one below and the one above."""
+
 Axes = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
 
 Expected = Callable[[Axes], NDArray[np.float64]]
@@ -183,20 +189,20 @@ def find_air(counts: Counts, expected: Expected) -> Air | None:
     candidate, steady = _even(counts)
     if not candidate.any():
         return None
-    lowest, highest = _quarters(counts.held, _with_beside(candidate))
+    lowest, highest = _quarters(counts.held, ndimage.binary_dilation(candidate, UPRIGHT))
     level = (lowest > 1) & (highest <= SMOOTH * lowest)
-    candidate &= _three(level)
+    candidate &= ndimage.binary_erosion(level, UPRIGHT)
     tapering = candidate & ~steady
     if tapering.any():
         candidate &= steady | _hung(counts, tapering & _alike(counts), expected)
-    level &= _with_beside(candidate)
+    level &= ndimage.binary_dilation(candidate, UPRIGHT)
     at = np.nonzero(level)
     if not len(at[0]):
         return None
     model = expected(_centres(counts, at))
     # Where nothing is listened to nothing is known either.
     level[at] = (lowest[at] >= CLEARLY * model * CUBE_M**3 + 1.0) & (model > 0.0)
-    seed = _with_beside(candidate & _three(level))
+    seed = ndimage.binary_dilation(candidate & ndimage.binary_erosion(level, UPRIGHT), UPRIGHT)
     return _around(counts, seed, lowest, expected) if seed.any() else None
 
 
@@ -279,35 +285,30 @@ def noise_with_air(xyz: Axes, noise: NDArray[np.float64], air: Air | None) -> ND
 
 def _even(counts: Counts) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Middles of squares, three layers high, that are even upwards; those with as much in each."""
-    columns, cells = (_sum_of_square(pairs) for pairs in (counts.columns, counts.cells))
+    in_columns, in_cells = (
+        _sum_of_square(pairs, EACH, EACH, THREE) for pairs in (counts.columns, counts.cells)
+    )
     seen = _sum_of_square(counts.held.astype(np.int64))
-    parts = round(CUBE_M / CELL_M)
-    even, steady = np.zeros((2, *seen.shape), np.bool_)
-    three = np.flatnonzero(counts.layer[2:] - counts.layer[:-2] == 2) + 1
-    for h in three:
-        about = slice(h - 1, h + 2)
-        in_columns, in_cells = columns[:, :, about].sum(axis=2), cells[:, :, about].sum(axis=2)
-        least, most = seen[:, :, about].min(axis=2), seen[:, :, about].max(axis=2)
-        told = in_columns >= 2 * PAIRS_LEAST
-        even[:, :, h] = told & (parts * in_cells <= EVEN * in_columns)
-        steady[:, :, h] = most <= STEADY * least
-    return even, steady
+    least, most = ndimage.minimum_filter1d(seen, 3), ndimage.maximum_filter1d(seen, 3)
+    told = in_columns >= 2 * PAIRS_LEAST
+    # Layers that are left out lie between others.
+    told[:, :, 1:-1] &= counts.layer[2:] - counts.layer[:-2] == 2
+    told[:, :, [0, -1]] = False
+    even = told & (round(CUBE_M / CELL_M) * in_cells <= EVEN * in_columns)
+    return even, told & (most <= STEADY * least)
 
 
 def _alike(counts: Counts) -> NDArray[np.bool_]:
     """Squares, three layers high, whose columns hold what a plane through their cubes tells."""
-    even, slope = np.ones(WINDOW, np.int64), np.arange(WINDOW) - WINDOW // 2
+    slope = np.arange(WINDOW) - WINDOW // 2
     held = counts.held.astype(np.int64)
     total, east, north = (
-        _sum_of_square(held, *weights) for weights in ((even, even), (slope, even), (even, slope))
+        _sum_of_square(held, *weights) for weights in ((EACH, EACH), (slope, EACH), (EACH, slope))
     )
     # Of 5 x 5 cubes of 5 x 5 columns.
-    told = 2 * total**2 - 6 * total + east**2 + north**2
-    pairs = 1250 * _sum_of_square(counts.columns)
-    out = np.zeros(held.shape, np.bool_)
-    told, pairs = (v[:, :, :-2] + v[:, :, 1:-1] + v[:, :, 2:] for v in (told, pairs))
-    out[:, :, 1:-1] = pairs <= ALIKE * told
-    return out
+    told = _sum_of_square(2 * total**2 - 6 * total + east**2 + north**2, ONE, ONE, THREE)
+    pairs = 1250 * _sum_of_square(counts.columns, EACH, EACH, THREE)
+    return pairs <= ALIKE * told
 
 
 def _hung(counts: Counts, asked: NDArray[np.bool_], expected: Expected) -> NDArray[np.bool_]:
@@ -346,21 +347,9 @@ def _quarters(
     return lower, upper
 
 
-def _three(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Places that are marked, and both the ones above and below them."""
-    found: NDArray[np.bool_] = ndimage.binary_erosion(marked, np.ones((1, 1, 3), np.bool_))
-    return found
-
-
-def _with_beside(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Marked places and all above and below them."""
-    found: NDArray[np.bool_] = ndimage.binary_dilation(marked, np.ones((1, 1, 3), np.bool_))
-    return found
-
-
 def _sum_of_square(values: NDArray[np.int64], *weights: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Sum over the square around each cube; with ``weights`` along x and y."""
-    for axis, along in enumerate(weights or (np.ones(WINDOW, np.int64),) * 2):
+    """Sum over the square around each cube; with ``weights`` along x, y, and upwards."""
+    for axis, along in enumerate(weights or (EACH, EACH)):
         values = ndimage.convolve1d(values, along, axis=axis, mode="constant")
     return values
 
