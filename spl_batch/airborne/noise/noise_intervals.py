@@ -59,7 +59,7 @@ def signal_heights(
     The group's own peak where it is beyond chance, else the interval's, else the median: unlike a
     chance peak it does not select noise.
 
-    ``order``: returns by increasing height; ``group``: of each return, in time order.
+    ``order``: returns by increasing height; ``group``: of each return.
     """
     everything = z[order]
     extent = everything[-1] - everything[0]
@@ -69,9 +69,20 @@ def signal_heights(
     out = np.full(n_groups, height)
     if n_groups == 1:
         return out
-    first = np.searchsorted(group, np.arange(n_groups + 1))
+    # Returns by group, in one pass that keeps their order.
+    stop = np.zeros(n_groups + 1, dtype=np.int64)
+    for g in group:
+        stop[g + 1] += 1
     for g in range(n_groups):
-        own = np.sort(z[first[g] : first[g + 1]])
+        stop[g + 1] += stop[g]
+    at, grouped = np.zeros(n_groups, np.int64), np.empty(len(z))
+    for g in range(n_groups):
+        at[g] = stop[g]
+    for i in order:
+        grouped[at[group[i]]] = z[i]
+        at[group[i]] += 1
+    for g in range(n_groups):
+        own = grouped[stop[g] : stop[g + 1]]
         if len(own) >= 10:
             peak, count = densest_window(own, width)
             if _significant(count, len(own), width, extent):
