@@ -32,7 +32,7 @@ Counts are integers on absolute lattices; a point's noise depends on points up t
 """
 
 from collections.abc import Callable
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -285,17 +285,16 @@ def noise_with_air(xyz: Axes, noise: NDArray[np.float64], air: Air | None) -> ND
 
 def _even(counts: Counts) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Middles of squares, three layers high, that are even upwards; those with as much in each."""
-    in_columns, in_cells = (
-        _sum_of_square(pairs, EACH, EACH, THREE) for pairs in (counts.columns, counts.cells)
-    )
-    seen = _sum_of_square(counts.held.astype(np.int64))
-    least, most = ndimage.minimum_filter1d(seen, 3), ndimage.maximum_filter1d(seen, 3)
-    told = in_columns >= 2 * PAIRS_LEAST
+    seen = _sum_of_square(counts.held)
+    steady = ndimage.maximum_filter1d(seen, 3) <= STEADY * ndimage.minimum_filter1d(seen, 3)
+    in_columns = _sum_of_square(counts.columns, EACH, EACH, THREE)
+    even = in_columns >= 2 * PAIRS_LEAST
     # Layers that are left out lie between others.
-    told[:, :, 1:-1] &= counts.layer[2:] - counts.layer[:-2] == 2
-    told[:, :, [0, -1]] = False
-    even = told & (round(CUBE_M / CELL_M) * in_cells <= EVEN * in_columns)
-    return even, told & (most <= STEADY * least)
+    even[:, :, 1:-1] &= counts.layer[2:] - counts.layer[:-2] == 2
+    even[:, :, [0, -1]] = False
+    in_columns = EVEN * in_columns
+    even &= round(CUBE_M / CELL_M) * _sum_of_square(counts.cells, EACH, EACH, THREE) <= in_columns
+    return even, steady
 
 
 def _alike(counts: Counts) -> NDArray[np.bool_]:
@@ -318,7 +317,7 @@ def _hung(counts: Counts, asked: NDArray[np.bool_], expected: Expected) -> NDArr
     if not len(i):
         return out
     x, y = ((k + low) * edge + edge // 2 for k, low in zip((i, j), counts.corner, strict=True))
-    seen = _sum_of_square(counts.held.astype(np.int64))[i, j]
+    seen = _sum_of_square(counts.held)[i, j]
     run = np.zeros(len(i), np.int64)
     solid, hung = np.zeros((2, len(i)), np.bool_)
     for layer in range(int(counts.layer[0]), int(counts.layer[-1]) + 1):
