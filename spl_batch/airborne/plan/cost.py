@@ -8,7 +8,7 @@ from typing import Final
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.plan import reference_tasks
-from spl_batch.airborne.plan.grid import tiles_along
+from spl_batch.airborne.plan.grid import denoise_grid
 from spl_batch.airborne.plan.inputs.survey_inputs import Source
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import STRETCH_POINTS, halo_m, needs
@@ -67,11 +67,14 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     """Cost of a survey whose files spread their points evenly over their bounding boxes."""
     workflow, sources = survey.workflow, survey.inputs.sources
     points = sum(s.facts.n_points for s in sources)
-    pieces = list(density.from_boxes((_box(s) for s in sources if s.facts.n_points), survey.tile_q))
-    side = tiles_along(pieces, workflow, survey.memory_bytes, survey.workers)
-    tiles, denoise_cells, cells = (
-        sum(piece.units(edge) for piece in pieces)
-        for edge in (survey.tile_q, side * survey.tile_q, survey.cell_q)
+    boxes = [_box(s) for s in sources if s.facts.n_points]
+    pieces = list(density.from_boxes(boxes, survey.tile_q))
+    grid, denoise_cells = denoise_grid(
+        pieces, [box.bounds for box in boxes], workflow, survey.memory_bytes, survey.workers
+    )
+    side = grid.edge // survey.tile_q
+    tiles, cells = (
+        sum(piece.units(edge) for piece in pieces) for edge in (survey.tile_q, survey.cell_q)
     )
     stretches = sum(-(-s.facts.n_points // STRETCH_POINTS) for s in sources)
     files = [s.facts.n_points for s in sources]
