@@ -26,7 +26,7 @@ SURVEYS: Final = {
     "square of 300 m": ((300.0, end_to_end.FORTY, 1.0), ()),
     "the same, COPC, tiles, contours": ((300.0, end_to_end.FORTY, 1.0), ALL),
     "square of 200 m, mostly noise": ((200.0, 0.2, 1.0), ()),
-    "square of 2000 m, sparse": ((2000.0, 0.0005, 0.02), ()),
+    "square of 2000 m, sparse": ((2000.0, 0.0005, 0.04), ()),
     "square of 300 m, small files": ((300.0, end_to_end.FORTY, 0.3), ()),
 }
 """Side [m], background [1/m3] and density of each survey, and its settings."""
