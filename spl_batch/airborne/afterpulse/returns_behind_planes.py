@@ -58,13 +58,13 @@ def parents_of(
     for b in range(len(start) - 1):
         first, last = start[b], start[b + 1]
         for k in range(first, last if last > first + 1 else first):
-            row, best = order[k], np.int32(-1)
+            row, best = int(order[k]), -1
             if not chosen[row]:
                 continue
             x, y, z = xyz[row, U0], xyz[row, U1], xyz[row, U2]
             for other in order[first:last]:
                 if xyz[other, U2] > z and (best < 0 or _before(xyz, other, best)):
-                    best = other
+                    best = int(other)
             if best >= 0 and xyz[best, U2] - z <= lag:
                 dx, dy = np.float64(xyz[best, U0] - x), np.float64(xyz[best, U1] - y)
                 if dx * dx + dy * dy <= np.float64(aside) ** 2:

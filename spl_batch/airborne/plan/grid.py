@@ -164,14 +164,22 @@ def _axis(first: int, past: int, edge: int, strip: int) -> tuple[int, int, int, 
     return west, east, low, high
 
 
+class DenoiseCells(NamedTuple):
+    """Cells of ``denoise``, how many own points, and their work, of margins too [points]."""
+
+    grid: Grid
+    cells: int
+    work: float
+
+
 def denoise_grid(
     pieces: Sequence[Piece],
     boxes: Sequence[Sequence[int]],
     workflow: Workflow,
     memory_bytes: int,
     workers: int,
-) -> tuple[Grid, int]:
-    """Cells of ``denoise``, and how many of them own points.
+) -> DenoiseCells:
+    """Cells of ``denoise``.
 
     Of the k x k tiles that fit with their margin into a worker, even where the survey is densest,
     those with which the workers finish soonest: wide cells read little twice, many of them share
@@ -193,11 +201,16 @@ def denoise_grid(
         Worker processes [count].
     """
     margin, given = quanta(halo_m(workflow)), workflow.tiling.block_tiles
-    share, found, least = 1.0 / max(workers, 1), None, math.inf
+    share, least = 1.0 / max(workers, 1), math.inf
+    found = DenoiseCells(Grid.of_boxes(boxes, quanta(workflow.tiling.tile_m), margin), 0, 0.0)
     for side in range(1, MOST_TILES + 1) if given is None else (given,):
         edge = quanta(side * workflow.tiling.tile_m)
         peak = largest(piece.peak(edge, margin) for piece in pieces)
-        if found and task_bytes("denoise", peak.points) > usable_bytes(memory_bytes):
+        if (
+            side > 1
+            and given is None
+            and task_bytes("denoise", peak.points) > usable_bytes(memory_bytes)
+        ):
             break
         # What lies in a strip is read by the cell beside it already.
         grid = Grid.of_boxes(boxes, edge, margin)
@@ -207,8 +220,8 @@ def denoise_grid(
         cells = sum(int(np.count_nonzero(work) * each) for work, each in loads)
         took = min(share * total + (1.0 - share) * longest, -(-cells // max(workers, 1)) * longest)
         if took < least:
-            found, least = (grid, cells), took
-    return found or (Grid.of_boxes(boxes, quanta(workflow.tiling.tile_m), margin), 0)
+            found, least = DenoiseCells(grid, cells, total), took
+    return found
 
 
 def _work(piece: Piece, grid: Grid, margin: int) -> tuple[NDArray[np.float64], float]:

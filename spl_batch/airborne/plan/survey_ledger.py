@@ -93,7 +93,7 @@ class Survey(Ledger[Inputs, Workflow]):
         """Grid of the cells of ``denoise``; complete once the shuffle is."""
         pieces = list(from_counts(self.counts, self.tile_q))
         limits = self.memory_bytes, self.workers
-        return denoise_grid(pieces, self._extents, self.workflow, *limits)[0]
+        return denoise_grid(pieces, self._extents, self.workflow, *limits).grid
 
     def denoise_cells(self) -> Iterator[Unit]:
         """Cells of ``denoise``; complete once the shuffle is."""

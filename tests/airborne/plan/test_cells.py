@@ -75,7 +75,8 @@ def everywhere(points: int, side: int) -> dict[CellId, int]:
 def chosen(counts: dict[CellId, int], asked: Workflow, memory: int, workers: int) -> Grid:
     tile_q = quanta(asked.tiling.tile_m)
     pieces, boxes = list(from_counts(counts, tile_q)), extents(counts, tile_q)
-    grid, cells = denoise_grid(pieces, boxes, asked, memory, workers)
+    grid, cells, work = denoise_grid(pieces, boxes, asked, memory, workers)
+    assert work >= 0.999 * sum(counts.values())
     assert cells == len(list(grid.units(counts, tile_q, 0)))
     return grid
 
