@@ -87,7 +87,7 @@ def _source(k: int, side: int) -> Source:
     facts = LasFacts(
         Path(f"line_{k}.laz"), 1, 10**8, (1, 4), 6, (0.001,) * 3, (0.0,) * 3,
         (0.0,) * 3, (side * TILE_M, side * TILE_M, 100.0), None,
-        adjusted_standard_bit=True, has_gps_time=True, dimensions=(), warnings=(),
+        adjusted_standard_bit=True, has_gps_time=True, dimensions=(), warnings=(), rounding=(),
         layers_can_be_copied=True,
     )  # fmt: skip
     return Source(facts.path, facts.path.name, facts.path.name, k + 10**18, facts)

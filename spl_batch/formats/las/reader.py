@@ -58,6 +58,8 @@ class LasFacts:
     has_gps_time: bool
     dimensions: tuple[str, ...]  #: Names that ``channel_dimension`` may take.
     warnings: tuple[str, ...]  #: Oddities that do not stop the work; each is one sentence.
+    #: That coordinates are not whole millimetres, which in feet none are: one sentence, or none.
+    rounding: tuple[str, ...]
     #: Whether :mod:`spl_batch.formats.las.layers` knows how its points are compressed.
     layers_can_be_copied: bool
 
@@ -66,7 +68,7 @@ class LasFacts:
         if units.are_metres:
             return self
         low, high = units.metres(np.array([self.mins_m, self.maxs_m])).tolist()
-        return replace(self, mins_m=tuple(low), maxs_m=tuple(high))
+        return replace(self, mins_m=tuple(low), maxs_m=tuple(high), rounding=())
 
     @property
     def area_m2(self) -> float:
@@ -114,7 +116,8 @@ def _inspected(path: Path) -> LasFacts:
         adjusted_standard_bit=bool(header.global_encoding & ADJUSTED_BIT),
         has_gps_time="gps_time" in layout.names,
         dimensions=layout.names,
-        warnings=(*header.warnings, *crs_warnings, *_rounding(header)),
+        warnings=(*header.warnings, *crs_warnings),
+        rounding=tuple(_rounding(header)),
         layers_can_be_copied=layered,
     )
 

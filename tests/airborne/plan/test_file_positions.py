@@ -45,6 +45,7 @@ def facts(name: str, box: tuple[float, float, float, float], points: int = 10_00
         has_gps_time=True,
         dimensions=(),
         warnings=(),
+        rounding=(),
         layers_can_be_copied=True,
     )
 

@@ -15,6 +15,7 @@ from spl_batch.errors import InputError
 from spl_batch.formats.las.chunks import CHUNK_SIZE_AT
 from spl_batch.formats.las.reader import inspect, iter_points
 from spl_batch.formats.las.writer import write_points
+from spl_batch.formats.units import Units
 from spl_batch.lattice.tables import COLUMNS, SOURCE_COLUMNS, PointFlag, PointTable, concat
 from tests.io_files import VERSIONS, patch, write_las
 
@@ -108,7 +109,7 @@ def test_whole_millimetres_are_exact(
         values={"X": raw, "Y": raw, "Z": np.zeros(len(raw), int)},
     )
     table = read_all(path)
-    assert inspect(path).warnings == ()
+    assert inspect(path).rounding == ()
     assert table["x"].tolist() == [int(exact_quanta(v, step, offset)) for v in raw]
     assert table["y"].tolist() == [int(exact_quanta(v, step, -offset)) for v in raw]
 
@@ -119,10 +120,12 @@ def test_mixed_and_fine_scales_are_rounded_and_said(tmp_path: Path) -> None:
     error = table["x"] - np.asarray(oracle.x) * 1000
     assert 0.2 < np.abs(error).max() <= 0.5 + 1e-6
     np.testing.assert_array_equal(table["y"], np.asarray(oracle.Y, np.int64) * 10 + 1000)
-    (said,) = inspect(path).warnings
+    found = inspect(path)
+    (said,) = found.rounding
+    assert found.warnings == found.in_metres(Units("US survey foot", 0.3048, "metre", 1.0)).rounding
     assert said.startswith("the scale (0.00025, 0.01, 0.001) is not whole millimetres")
     for offset in (0.0005, 7.0001):
-        (said,) = inspect(write_las(tmp_path / "b.laz", offsets=(offset, 1.0, 2.0))).warnings
+        (said,) = inspect(write_las(tmp_path / "b.laz", offsets=(offset, 1.0, 2.0))).rounding
         assert said.startswith("the offset is not whole millimetres: working coordinates are")
 
 

@@ -153,7 +153,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     warnings += [
         Finding("I01", {"kind": "header", "what": text}, name_below(facts.path, base))
         for facts in good
-        for text in facts.warnings
+        for text in (*facts.warnings, *facts.rounding)
     ]
     placed = [(name_below(facts.path, base), facts) for facts in good]
     warnings += [*degrees_as_metres(placed), *far_positions(placed), *saved_again(placed)]
