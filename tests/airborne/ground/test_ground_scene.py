@@ -156,20 +156,6 @@ def test_ground_of_coarse_ranges_is_not_biased() -> None:
     assert ground_mask(PointTable(columns), usable, settings).mean() < 0.97
 
 
-def test_cells_agree_where_their_buffers_overlap() -> None:
-    """Two overlapping windows of the scene give the same ground away from their edges."""
-    found = scene()
-    x = found.table["x"] - int(ORIGIN_M[0]) * 1000
-    left, right = np.flatnonzero(x < 90_000), np.flatnonzero(x >= 30_000)
-    mask = np.zeros((2, len(x)), dtype=bool)
-    for k, part in enumerate((left, right)):
-        mask[k, part] = ground_mask(
-            found.table.take(part), np.ones(len(part), dtype=bool), GroundSettings()
-        )
-    middle = (x >= 55_000) & (x < 65_000)
-    assert np.mean(mask[0, middle] != mask[1, middle]) < 0.001
-
-
 @pytest.mark.parametrize(
     ("method", "seed"), [("multiscale", 0), ("multiscale", 1), ("ptd", 0), ("ptd", 1), ("smrf", 0)]
 )

@@ -14,7 +14,6 @@ from spl_batch.airborne.ground.point_spacing import spacing_m, spacings_m
 from spl_batch.airborne.ground.smrf import fill_gaps
 from spl_batch.airborne.settings import GroundSettings
 from spl_batch.lattice.tables import PointTable
-from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
 from spl_batch.numerics.cell_groups import group_by_cell
 
 
@@ -203,20 +202,6 @@ def test_where_every_return_follows_another_no_ground_is_known() -> None:
     points["afterpulse"][:] = 0.9
     usable = np.ones(len(points["x"]), dtype=np.bool_)
     assert not ground_mask(table_of(points, probability=True), usable, GroundSettings()).any()
-
-
-def test_the_cuts_between_ground_cells_change_no_label() -> None:
-    points = survey(seed=6, edge_m=150.0, density=5.0)
-    table = table_of(points, probability=True)
-    usable = np.ones(len(table), dtype=np.bool_)
-    chosen = GroundSettings()
-    whole = ground_mask(table, usable, chosen)
-    owned = Bounds(0, 0, quanta(75.0), quanta(75.0))
-    part = np.flatnonzero(inside(table["x"], table["y"], grow(owned, quanta(chosen.buffer_m))))
-    assert len(part) < len(table)
-    found = ground_mask(table.take(part), usable[part], chosen)
-    mine = inside(table["x"][part], table["y"][part], owned)
-    assert np.mean(found[mine] != whole[part][mine]) < 1e-4
 
 
 def test_filled_gaps_do_not_depend_on_what_else_is_in_sight() -> None:

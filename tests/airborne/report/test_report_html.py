@@ -171,11 +171,6 @@ def smallest_report() -> Report:
 
 
 class TestWrite:
-    def test_both_files_are_there_and_nothing_else(self, tmp_path: Path) -> None:
-        out = tmp_path / "a" / "b"
-        write_both(out, make_report(), render(make_report(), {}))
-        assert sorted(p.name for p in out.iterdir()) == ["report.html", "report.json"]
-
     def test_a_failed_write_keeps_the_earlier_report(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
