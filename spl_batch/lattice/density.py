@@ -79,6 +79,19 @@ class Piece:
         south = (self.first.j * self.edge // step + int(row)) * step
         return Peak(float(read[row, column]), Bounds(west, south, west + unit_q, south + unit_q))
 
+    def loads(
+        self, unit_q: int, halo_q: int
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], CellId]:
+        """Points of each unit, and with its halo: two (rows, columns); and the first of the units.
+
+        Where squares are larger than units, one unit of each square is looked at. Parameters as of
+        :meth:`peak`.
+        """
+        step = max(unit_q, self.edge)
+        own, read = (self._sums(self._total, step, (unit_q, reach)) for reach in (0, halo_q))
+        first = CellId(self.first.i * self.edge // step, self.first.j * self.edge // step)
+        return own, read, first
+
     @cached_property
     def _total(self) -> NDArray[np.float64]:
         return _integral(self.points)

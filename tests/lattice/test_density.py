@@ -87,7 +87,8 @@ counts = st.dictionaries(
 @given(counts, st.sampled_from([100, 300, 250]), st.sampled_from([0, 30, 130]))
 def test_tiles_tell_the_fullest_unit(held: dict[CellId, int], unit: int, halo: int) -> None:
     pieces = list(from_counts(held, EDGE))
-    listed = list(Grid.plain(unit).units(held, EDGE, halo))
+    grid = Grid.of_boxes([cell_bounds(tile, EDGE) for tile in held], unit, 0)
+    listed = list(grid.units(held, EDGE, halo))
     assert sum(p.units(unit) for p in pieces) == len(listed)
     share = largest(p.peak(unit, halo) for p in pieces)
     assert share.points == pytest.approx(max(u.held for u in listed), abs=1.0 + 1e-9 * share.points)

@@ -38,6 +38,7 @@ from spl_batch.airborne.afterpulse import foliage
 from spl_batch.airborne.afterpulse.returns_behind_planes import behind_plane, parents_of
 from spl_batch.airborne.afterpulse.weighted_counts import UNIT, weigh_around
 from spl_batch.airborne.beams.dependent_returns import LAG_M, dependents
+from spl_batch.airborne.beams.shot_runs import Beamlets
 from spl_batch.airborne.settings import AfterpulseSettings
 from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
@@ -123,7 +124,10 @@ class Echoes(NamedTuple):
 
 
 def resolve(
-    table: PointTable, density: NDArray[np.float64], settings: AfterpulseSettings
+    table: PointTable,
+    density: NDArray[np.float64],
+    settings: AfterpulseSettings,
+    beamlets: Beamlets,
 ) -> Echoes:
     """Decide about the time domain's candidates.
 
@@ -134,12 +138,14 @@ def resolve(
         candidates; without ``afterpulse_rate``, or as published, the time domain decides alone.
     density : (n,) float64
         Expected noise at each point [1/m3].
+    beamlets : Beamlets
+        Of the table.
     """
     found = believed(table)
     if "afterpulse" not in table or settings.method == "published":
         return found
     dependent = dependents(table)
-    rows, chance, hard, clumped, far = probability(table, density)
+    rows, chance, hard, clumped, far = probability(table, density, beamlets)
     spared = np.where(table.has(PointFlag.WATER)[rows], WATER_MAX, SURFACE_MAX)
     enough = _enough(table, rows, clumped, settings)
     # A return as likely an afterpulse as not is no evidence, and has no label to share.
@@ -169,10 +175,10 @@ def believed(table: PointTable) -> Echoes:
     return Echoes(echo, np.zeros(len(table), np.bool_))
 
 
-def probability(table: PointTable, density: NDArray[np.float64]) -> Chances:
+def probability(table: PointTable, density: NDArray[np.float64], beamlets: Beamlets) -> Chances:
     """Probability that each candidate is an afterpulse, by its neighbourhood.
 
-    ``table, density``: as in :func:`resolve`, points in canonical order.
+    ``table, density, beamlets``: as in :func:`resolve`, points in canonical order.
     """
     if "afterpulse_rate" not in table or not len(table):
         none = np.empty(0, np.bool_)
@@ -190,7 +196,7 @@ def probability(table: PointTable, density: NDArray[np.float64]) -> Chances:
     rate = table["afterpulse_rate"][rows].astype(np.float64)
     alone = places.listed(usable & (table["afterpulse_rate"] == 0))
     sigma = _spreads(table, rows)
-    parents = places.parents(rows)
+    parents = places.parents(rows, beamlets)
     behind, tilt = places.behind_plane(at, parents, alone, sigma)
     hard |= behind
     chance = np.zeros(len(rows))
@@ -251,10 +257,10 @@ class _Places:
 
     def __init__(self, table: PointTable) -> None:
         self._table = table
-        xyz = np.empty((len(table), 3), dtype=np.int32)
+        self._xyz = np.empty((len(table), 3), dtype=np.int32)
         for axis, name in enumerate("xyz"):
-            xyz[:, axis] = table[name] - table[name].min()
-        self._made = columns(xyz, np.arange(len(table)), (0, 0, 0), quanta(WIDE_M))
+            self._xyz[:, axis] = table[name] - table[name].min()
+        self._made = columns(self._xyz, np.arange(len(table)), (0, 0, 0), quanta(WIDE_M))
         self._order = self._made.points[3]
         self._time, self._channel = table["gps_time"][self._order], table["channel"][self._order]
         self._place = np.empty(len(table), np.int32)
@@ -301,12 +307,13 @@ class _Places:
         named = self._order[parents].astype(np.intp)
         return foliage.clumping(x, y, named, true[parents], counts, rows)
 
-    def parents(self, rows: NDArray[np.intp]) -> NDArray[np.int32]:
+    def parents(self, rows: NDArray[np.intp], beamlets: Beamlets) -> NDArray[np.int32]:
         """Places of the returns in front of some rows in their beamlets, -1 for none."""
         chosen = np.zeros(len(self._table), np.bool_)
         chosen[rows] = True
-        found = parents_of(self._table, chosen, quanta(LAG_M), quanta(WIDE_M))[rows]
-        return np.where(found >= 0, self._place[found], np.int32(-1))
+        found = np.empty(len(chosen), np.int32)
+        parents_of(*beamlets, self._xyz, chosen, quanta(LAG_M), quanta(WIDE_M), found)
+        return np.where(found[rows] >= 0, self._place[found[rows]], np.int32(-1))
 
     def behind_plane(
         self, places: NDArray[np.int32], parents: NDArray[np.int32], alone: NDArray[np.bool_],

@@ -8,10 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse.weighted_counts import most_around
-from spl_batch.airborne.beams.dependent_returns import families
-from spl_batch.airborne.beams.shot_runs import run_starts
-from spl_batch.lattice.row_order import lexicographic_order
-from spl_batch.lattice.tables import PointTable
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.kdtree import U0, U1, U2
 from spl_batch.numerics.neighbours.lattice_columns import Columns, first_above
@@ -43,29 +39,46 @@ def _near(
     return size
 
 
+@njit()
 def parents_of(
-    table: PointTable, chosen: NDArray[np.bool_], lag: int, aside: int
-) -> NDArray[np.intp]:
-    """The lowest return of the same beamlet above each point: (n,) rows; -1 for none.
+    order: NDArray[np.int32],
+    start: NDArray[np.int32],
+    xyz: NDArray[np.int32],
+    chosen: NDArray[np.bool_],
+    lag: int,
+    aside: int,
+    out: NDArray[np.int32],
+) -> None:
+    """Fill the lowest return of the same beamlet above each chosen point: rows (n,), -1 for none.
 
-    Asked of the chosen points; it is at most ``lag`` higher, and ``aside`` away [quanta]. Of two as
-    high the one farther west, or south, is taken.
+    ``order, start``: :class:`~spl_batch.airborne.beams.shot_runs.Beamlets`. It is at most ``lag``
+    higher, and ``aside`` away [quanta]. Of two as high the one farther west, or south, is taken.
     """
-    out = np.full(len(table), -1, np.intp)
-    mates = np.flatnonzero(families(table, chosen))
-    keys = [table[name][mates] for name in ("gps_time", "channel", "z", "x", "y")]
-    order = lexicographic_order(keys)
-    rows = mates[order]
-    time, channel, z, x, y = (key[order] for key in keys)
-    beamlets, heights = run_starts(time, channel), run_starts(time, channel, z)
-    above = np.repeat(heights[1:], np.diff(heights))
-    end = np.repeat(beamlets[1:], np.diff(beamlets))
-    child = np.flatnonzero(above < end)
-    parent = above[child]
-    far = (x[parent] - x[child]) ** 2 + (y[parent] - y[child]) ** 2 > aside**2
-    near = ~far & (z[parent].astype(np.int64) - z[child] <= lag)
-    out[rows[child[near]]] = rows[parent[near]]
-    return out
+    out[:] = -1
+    for b in range(len(start) - 1):
+        first, last = start[b], start[b + 1]
+        for k in range(first, last if last > first + 1 else first):
+            row, best = int(order[k]), -1
+            if not chosen[row]:
+                continue
+            x, y, z = xyz[row, U0], xyz[row, U1], xyz[row, U2]
+            for other in order[first:last]:
+                if xyz[other, U2] > z and (best < 0 or _before(xyz, other, best)):
+                    best = int(other)
+            if best >= 0 and xyz[best, U2] - z <= lag:
+                dx, dy = np.float64(xyz[best, U0] - x), np.float64(xyz[best, U1] - y)
+                if dx * dx + dy * dy <= np.float64(aside) ** 2:
+                    out[row] = best
+
+
+@njit()
+def _before(xyz: NDArray[np.int32], a: int, b: int) -> bool:
+    """Whether a point is lower than another one; of as high ones farther west, then south."""
+    if xyz[a, U2] != xyz[b, U2]:
+        return bool(xyz[a, U2] < xyz[b, U2])
+    if xyz[a, U0] != xyz[b, U0]:
+        return bool(xyz[a, U0] < xyz[b, U0])
+    return bool(xyz[a, U1] < xyz[b, U1])
 
 
 @njit(fastmath={"reassoc"})

@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.beams.shot_runs import Beamlets
 from spl_batch.constants import NOISE_AFTERPULSE, NOISE_BACKGROUND, NOISE_NOT_ASSESSED
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import quanta
@@ -33,60 +34,25 @@ def dependents(table: PointTable) -> NDArray[np.bool_]:
     return found
 
 
-def families(table: PointTable, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Returns of the beamlets that some points lie on: (n,) bool.
-
-    Parameters
-    ----------
-    table : PointTable
-        Points with ``gps_time, channel``.
-    chosen : (n,) bool
-        The points.
-    """
-    time = table["gps_time"]
-    times = np.unique(time[chosen])
-    if not len(times):
-        return np.zeros(len(table), np.bool_)
-    shot = np.minimum(np.searchsorted(times, time), len(times) - 1)
-    out: NDArray[np.bool_] = times[shot] == time
-    beamlet = shot * 256 + table["channel"]
-    out[out] = np.isin(beamlet[out], beamlet[chosen])
-    return out
-
-
-@njit()
-def inherit(
-    order: NDArray[np.int64],
-    same: NDArray[np.bool_],
-    z: NDArray[np.int32],
-    dependent: NDArray[np.bool_],
-    lag: int,
-    label: NDArray[np.uint8],
-    unknown: int,
-) -> None:
-    """Give each dependent return (n,) the label of the one in front of it, in place.
-
-    ``order`` (n,) has the rows by beamlet, from the highest return down; ``same`` (n,) says whether
-    one is of the same beamlet as that before it. The one in front is at most ``lag`` above
-    [quanta], and its label is not ``unknown``.
-    """
-    for i in range(1, len(order)):
-        row, front = order[i], order[i - 1]
-        if dependent[row] and same[i] and z[front] - z[row] <= lag and label[front] != unknown:
-            label[row] = label[front]
-
-
 def follow(
-    table: PointTable, dependent: NDArray[np.bool_], label: NDArray[np.uint8]
+    table: PointTable,
+    beamlets: Beamlets,
+    usable: NDArray[np.bool_],
+    dependent: NDArray[np.bool_],
+    label: NDArray[np.uint8],
 ) -> NDArray[np.uint8]:
     """Labels with those of dependent returns taken over from the returns in front of them.
 
     Parameters
     ----------
     table : PointTable
-        Points with ``gps_time, channel, z`` in canonical order: whole :func:`families`.
+        Points with ``z`` in canonical order.
+    beamlets : Beamlets
+        Theirs; a return is judged where its beamlet is whole.
+    usable : (n,) bool
+        Others are in front of none.
     dependent : (n,) bool
-        Returns whose own label does not count.
+        Returns whose own label does not count, usable.
     label : (n,) uint8
         ``noise_class``; "not assessed" where it is not known.
 
@@ -97,11 +63,42 @@ def follow(
     """
     if not dependent.any():
         return label
-    time, channel = table["gps_time"], table["channel"]
-    order = np.lexsort((-table["z"].astype(np.int64), channel, time))
-    same = np.zeros(len(order), np.bool_)
-    same[1:] = (np.diff(time[order]) == 0) & (np.diff(channel[order].astype(np.int16)) == 0)
     out = label.copy()
-    inherit(order, same, table["z"], dependent, quanta(LAG_M), out, NOISE_NOT_ASSESSED)
+    inherit(*beamlets, usable, table["z"], dependent, quanta(LAG_M), out, NOISE_NOT_ASSESSED)
     out[dependent & (out == NOISE_BACKGROUND)] = NOISE_AFTERPULSE
     return out
+
+
+@njit()
+def inherit(
+    order: NDArray[np.int32],
+    start: NDArray[np.int32],
+    usable: NDArray[np.bool_],
+    z: NDArray[np.int32],
+    dependent: NDArray[np.bool_],
+    lag: int,
+    label: NDArray[np.uint8],
+    unknown: int,
+) -> None:
+    """Give each dependent return (n,) the label of the one in front of it, in place.
+
+    ``order, start``: :class:`~spl_batch.airborne.beams.shot_runs.Beamlets`. The one in front is the
+    next usable one up, at most ``lag`` above [quanta], and its label is not ``unknown``.
+    """
+    down = np.empty(len(order), np.int32)
+    for b in range(len(start) - 1):
+        rows = order[start[b] : start[b + 1]]
+        if len(rows) < 2 or not dependent[rows].any():
+            continue
+        size = 0
+        for row in rows[usable[rows]]:
+            at = size
+            while at > 0 and z[down[at - 1]] < z[row]:
+                down[at] = down[at - 1]
+                at -= 1
+            down[at] = row
+            size += 1
+        for k in range(1, size):
+            row, front = down[k], down[k - 1]
+            if dependent[row] and z[front] - z[row] <= lag and label[front] != unknown:
+                label[row] = label[front]

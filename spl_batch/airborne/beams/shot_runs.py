@@ -4,9 +4,13 @@ A shot is the run of rows with one ``gps_time``, a beamlet that with one ``gps_t
 Shot *numbers* do not count: two shots share one where times jitter.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.lattice.row_order import lexicographic_order
+from spl_batch.lattice.tables import PointTable
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.sorting import first_above
 
@@ -35,6 +39,20 @@ def run_starts(*keys: NDArray[np.generic]) -> NDArray[np.int64]:
     starts[0], starts[-1] = 0, n
     np.add(inner, 1, out=starts[1:-1])
     return starts
+
+
+class Beamlets(NamedTuple):
+    """Returns of a table in any order by beamlet."""
+
+    order: NDArray[np.int32]  #: (n,): rows, beamlet after beamlet, ascending within each.
+    start: NDArray[np.int32]  #: (m + 1,): where beamlets start in ``order``, then n.
+
+
+def beamlets_of(table: PointTable) -> Beamlets:
+    """Beamlets of a table with ``gps_time, channel``."""
+    time, channel = table["gps_time"], table["channel"]
+    order = lexicographic_order((time, channel)).astype(np.int32)
+    return Beamlets(order, run_starts(time[order], channel[order]).astype(np.int32))
 
 
 @njit()

@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse import afterpulse_decision
-from spl_batch.airborne.beams.dependent_returns import LAG_M, families, follow
+from spl_batch.airborne.beams.dependent_returns import LAG_M, follow
+from spl_batch.airborne.beams.shot_runs import Beamlets, beamlets_of
 from spl_batch.airborne.filter import published
 from spl_batch.airborne.filter.ellipsoid import ellipsoid_test
 from spl_batch.airborne.filter.filter_interface import Cloud, Verdict, near_box
@@ -32,7 +33,7 @@ from spl_batch.lattice.tiles import quanta
 COLUMNS_NEEDED: Final = afterpulse_decision.COLUMNS_NEEDED
 """Columns of a table to filter."""
 
-_JUDGED: Final = ("z", "gps_time", "channel", "flags")
+_JUDGED: Final = ("z", "flags")
 """Those that are looked at when it is known which returns are independent."""
 
 _GIVEN: Final = PointFlag.WITHHELD | PointFlag.VENDOR_NOISE
@@ -121,14 +122,15 @@ def denoise(
         Of the m query points: ``noise_class`` (m,) uint8; ``p_value`` (m,) float32, P(as much
         evidence | noise), NaN where not assessed; ``wire`` (m,) uint8, 1 for a sure conductor.
     """
-    found = _resolve(table, density, settings, afterpulse)
+    beamlets = beamlets_of(table)
+    found = _resolve(table, density, settings, afterpulse, beamlets)
     density = density if tested is None else tested
     del tested
     table = table.select(("x", "y", *_JUDGED))
     rows, cloud = _alone(table, density, query, found, settings)
     del density
     table = table.select(_JUDGED)
-    return _judge(table, rows, cloud, query, found, settings)
+    return _judge(table, rows, cloud, query, found, settings, beamlets)
 
 
 def _alone(
@@ -155,6 +157,7 @@ def _judge(
     query: NDArray[np.bool_],
     found: afterpulse_decision.Echoes,
     settings: FilterSettings,
+    beamlets: Beamlets,
 ) -> NoiseColumns:
     """Decide which points are noise, where it is known which are afterpulses."""
     echo, dependent = found
@@ -173,10 +176,7 @@ def _judge(
         p_value[rows] = verdict.p_value
         noise_class[echo] = NOISE_AFTERPULSE
         noise_class[dependent & ~table.has(EXCLUDED | PointFlag.NO_BEAM)] = NOISE_SIGNAL
-        if dependent.any():
-            kin = np.flatnonzero(families(table, dependent & query) & ~excluded)
-            family = table.select(("gps_time", "channel", "z")).take(kin)
-            noise_class[kin] = follow(family, dependent[kin], noise_class[kin])
+        noise_class = follow(table, beamlets, ~excluded, dependent, noise_class)
         noise_class[table.has(UNFILTERED) & ~echo] = NOISE_NOT_ASSESSED
     noise_class[echo] = NOISE_AFTERPULSE
     outside = table.has(PointFlag.OUTSIDE_AOI)
@@ -214,11 +214,12 @@ def _resolve(
     density: NDArray[np.float64],
     settings: FilterSettings,
     afterpulse: AfterpulseSettings,
+    beamlets: Beamlets,
 ) -> afterpulse_decision.Echoes:
     """Afterpulses, and returns that are no evidence of their own."""
     if settings.method == "none":
         return afterpulse_decision.believed(table)
-    found = afterpulse_decision.resolve(table, density, afterpulse)
+    found = afterpulse_decision.resolve(table, density, afterpulse, beamlets)
     if _independent(settings):
         return found
     return afterpulse_decision.Echoes(found.echo, np.zeros(len(table), np.bool_))

@@ -8,7 +8,7 @@ from typing import Final
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.plan import reference_tasks
-from spl_batch.airborne.plan.grid import tiles_along
+from spl_batch.airborne.plan.grid import denoise_grid
 from spl_batch.airborne.plan.inputs.survey_inputs import Source
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import STRETCH_POINTS, halo_m, needs
@@ -31,20 +31,19 @@ REFERENCE_BYTES_PER_POINT: Final = 35
 
 RATES_POINTS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
     {
-        "index": 2.2e6,
-        "shots": 4.0e6,
-        "shuffle": 1.4e6,
-        "denoise": 0.44e6,
-        "ground": 2.0e6,
-        "surfaces": 1.7e6,
-        "deliver": 7.0e6,
+        "index": 1.8e6,
+        "shots": 2.0e6,
+        "shuffle": 0.95e6,
+        "denoise": 0.32e6,
+        "ground": 0.9e6,
+        "surfaces": 0.75e6,
+        "deliver": 2.9e6,
         "report": 0.5e6,
     }
 )
 """Points per second and worker until a store has measured its own, those of ``report`` of the
-reference; ``benchmarks/end_to_end.py``,
-two workers, 53 % noise, and a little less."""
-
+reference, those of ``denoise`` of cells and of margins as :data:`~.grid.MARGIN_COST` has them:
+``python -m benchmarks.end_to_end FOLDER --side-m 450``, and a little less."""
 
 TASK_S: Final = 0.02
 """What a task takes however few points it has: files to open and to put in place [s]."""
@@ -67,11 +66,14 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     """Cost of a survey whose files spread their points evenly over their bounding boxes."""
     workflow, sources = survey.workflow, survey.inputs.sources
     points = sum(s.facts.n_points for s in sources)
-    pieces = list(density.from_boxes((_box(s) for s in sources if s.facts.n_points), survey.tile_q))
-    side = tiles_along(pieces, workflow, survey.memory_bytes, survey.workers)
-    tiles, denoise_cells, cells = (
-        sum(piece.units(edge) for piece in pieces)
-        for edge in (survey.tile_q, side * survey.tile_q, survey.cell_q)
+    boxes = [_box(s) for s in sources if s.facts.n_points]
+    pieces = list(density.from_boxes(boxes, survey.tile_q))
+    denoised = denoise_grid(
+        pieces, [box.bounds for box in boxes], workflow, survey.memory_bytes, survey.workers
+    )
+    side = denoised.grid.edge // survey.tile_q
+    tiles, cells = (
+        sum(piece.units(edge) for piece in pieces) for edge in (survey.tile_q, survey.cell_q)
     )
     stretches = sum(-(-s.facts.n_points // STRETCH_POINTS) for s in sources)
     files = [s.facts.n_points for s in sources]
@@ -79,7 +81,9 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     heaviest = max(held, key=lambda need: need.memory_bytes)
     rates, measured = measured_rates(RATES_POINTS_PER_S, context)
     compared = sum(facts.n_points for facts in survey.inputs.reference.usable)
-    work = {stage: compared if stage == "report" else points for stage in rates}
+    work = dict.fromkeys(rates, float(points)) | {"report": float(compared)}
+    if RATES_POINTS_PER_S["denoise"] == rates["denoise"]:
+        work["denoise"] = denoised.work
     delivered = len(sources) + (tiles if workflow.outputs.tiles != "none" else 0)
     delivered += len(survey.inputs.areas)
     flown, found = len(survey.inputs.trajectory), survey.filtering and not survey.inputs.trajectory
@@ -92,7 +96,7 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
         + (flown and survey.filtering) * (flown + 1),
         "shots": len(sources) + stretches + found * (len(sources) + stretches),
         "shuffle": stretches + tiles,
-        "denoise": denoise_cells,
+        "denoise": denoised.cells,
         "ground": cells,
         "surfaces": cells,
         "deliver": delivered + _rasters_and_comparisons(survey, cells),
@@ -107,7 +111,7 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
         points=points,
         stretches=stretches,
         tiles=tiles,
-        denoise_cells=denoise_cells,
+        denoise_cells=denoised.cells,
         cells=cells,
         side=side,
         halo_m=halo_m(workflow),

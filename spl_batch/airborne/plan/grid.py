@@ -1,12 +1,11 @@
 """Cells: squares of an absolute grid, what each owns and what it reads around it.
 
 ``denoise`` takes k x k tiles, one k for the survey, and labels and rasters are the same whatever k
-is; the steps after it take ``ground.cell_m``.
-Ground cells at a survey's edge own a strip more.
+is; the steps after it take ``ground.cell_m``. Cells at a survey's edge may own more.
 
-A TIN is known where its surroundings are, so each square is read with a buffer. Where a survey
-enters a column or a row of squares by no more than that buffer, the next one reads all of it
-anyway, and owns it too: alone a strip costs as much as the buffer along it.
+Each square is read with a margin. Where a survey enters a column or a row of squares by no more
+than that margin, the next one reads all of it anyway, and owns it too: alone it would cost as much
+as the margin along it.
 
 What the survey reaches follows from the bounding boxes of its files, so that tiles are free to lie
 as they like.
@@ -15,6 +14,9 @@ as they like.
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Final, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
 
 from spl_batch.airborne.plan.task_memory import halo_m, task_bytes
 from spl_batch.airborne.settings.workflow import Workflow
@@ -90,12 +92,6 @@ class Grid(NamedTuple):
         """Cells of a survey, as its workflow says; see :meth:`of_boxes`."""
         return cls.of_boxes(boxes, quanta(workflow.ground.cell_m), strip_q(workflow))
 
-    @classmethod
-    def plain(cls, edge: int) -> Self:
-        """Squares that are cells by themselves, wherever the survey lies."""
-        far = 2**62
-        return cls(edge, CellId(-far, -far), CellId(far, far), Bounds(0, 0, 0, 0))
-
     def keeper(self, square: CellId) -> CellId:
         """Cell that owns a square of the grid."""
         return CellId(
@@ -168,30 +164,77 @@ def _axis(first: int, past: int, edge: int, strip: int) -> tuple[int, int, int, 
     return west, east, low, high
 
 
-def tiles_along(
-    pieces: Sequence[Piece], workflow: Workflow, memory_bytes: int, workers: int
-) -> int:
-    """Tiles along one side of the cells of ``denoise``.
+class DenoiseCells(NamedTuple):
+    """Cells of ``denoise``, how many own points, and their work, of margins too [points]."""
 
-    Those that fit with their margin into a worker, even where the survey is densest, and of these
-    the ones with which the workers finish soonest: wide cells read little twice, many of them
-    share the work evenly. ``pieces``: where the points lie; ``memory_bytes``: limit of a worker.
+    grid: Grid
+    cells: int
+    work: float
+
+
+def denoise_grid(
+    pieces: Sequence[Piece],
+    boxes: Sequence[Sequence[int]],
+    workflow: Workflow,
+    memory_bytes: int,
+    workers: int,
+) -> DenoiseCells:
+    """Cells of ``denoise``.
+
+    Of the k x k tiles that fit with their margin into a worker, even where the survey is densest,
+    those with which the workers finish soonest: wide cells read little twice, many of them share
+    the work evenly. Tasks in any order take at most ``total / workers + (1 - 1 / workers) x
+    longest`` (R. L. Graham, Bounds on multiprocessing timing anomalies, SIAM J. Appl. Math. 17,
+    1969), and at most as many times the longest as each worker has tasks.
+
+    Parameters
+    ----------
+    pieces : sequence of Piece
+        Where the points lie.
+    boxes : sequence of sequence of int
+        Bounding boxes of the files, half-open [quanta].
+    workflow : Workflow
+        Its ``tiling.block_tiles`` is k where it is given.
+    memory_bytes : int
+        Limit of a worker [byte].
+    workers : int
+        Worker processes [count].
     """
-    if workflow.tiling.block_tiles is not None:
-        return workflow.tiling.block_tiles
-    tile_m, margin_m = workflow.tiling.tile_m, halo_m(workflow)
-    best, least = 1, math.inf
-    for side in range(1, MOST_TILES + 1):
-        edge_m = side * tile_m
-        peak = largest(piece.peak(quanta(edge_m), quanta(margin_m)) for piece in pieces)
-        if side > 1 and task_bytes("denoise", peak.points) > usable_bytes(memory_bytes):
+    margin, given = quanta(halo_m(workflow)), workflow.tiling.block_tiles
+    share, least = 1.0 / max(workers, 1), math.inf
+    found = DenoiseCells(Grid.of_boxes(boxes, quanta(workflow.tiling.tile_m), margin), 0, 0.0)
+    for side in range(1, MOST_TILES + 1) if given is None else (given,):
+        edge = quanta(side * workflow.tiling.tile_m)
+        peak = largest(piece.peak(edge, margin) for piece in pieces)
+        if (
+            side > 1
+            and given is None
+            and task_bytes("denoise", peak.points) > usable_bytes(memory_bytes)
+        ):
             break
-        cells = sum(piece.units(quanta(edge_m)) for piece in pieces)
-        rounds = -(-cells // max(workers, 1))
-        cost = edge_m**2 + MARGIN_COST * ((edge_m + 2.0 * margin_m) ** 2 - edge_m**2)
-        if rounds * cost < least:
-            best, least = side, rounds * cost
-    return best
+        # What lies in a strip is read by the cell beside it already.
+        grid = Grid.of_boxes(boxes, edge, margin)
+        loads = [_work(piece, grid, margin) for piece in pieces]
+        total = math.fsum(float(work.sum()) * each for work, each in loads)
+        longest = max((float(work.max(initial=0.0)) for work, _ in loads), default=0.0)
+        cells = sum(int(np.count_nonzero(work) * each) for work, each in loads)
+        took = min(share * total + (1.0 - share) * longest, -(-cells // max(workers, 1)) * longest)
+        if took < least:
+            found, least = DenoiseCells(grid, cells, total), took
+    return found
+
+
+def _work(piece: Piece, grid: Grid, margin: int) -> tuple[NDArray[np.float64], float]:
+    """Work of the cells that own part of a piece [points], and how many cells each stands for."""
+    own, read, first = piece.loads(grid.edge, margin)
+    each = (max(piece.edge, grid.edge) / grid.edge) ** 2
+    if each == 1.0:
+        for axis, (low, high) in enumerate(((grid.low.j, grid.high.j), (grid.low.i, grid.high.i))):
+            at = first[1 - axis] + np.arange(own.shape[axis])
+            keeper, starts = np.unique(np.clip(at, low, high), return_index=True)
+            own = np.add.reduceat(own, starts, axis)
+            read = read.take(keeper - first[1 - axis], axis)
+    return np.where(own > 0.0, own + MARGIN_COST * (read - own), 0.0), each
 
 
 def tile_counts(tiles: Mapping[str, Receipt]) -> dict[CellId, int]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.plan.flightlines import Flightline, find_flightlines, is_timeless
-from spl_batch.airborne.plan.grid import Grid, Unit, tile_counts, tiles_along
+from spl_batch.airborne.plan.grid import Grid, Unit, denoise_grid, tile_counts
 from spl_batch.airborne.plan.inputs.survey_inputs import Inputs, Source
 from spl_batch.airborne.plan.task_memory import halo_m
 from spl_batch.airborne.settings.workflow import Workflow
@@ -92,8 +92,8 @@ class Survey(Ledger[Inputs, Workflow]):
     def denoise_grid(self) -> Grid:
         """Grid of the cells of ``denoise``; complete once the shuffle is."""
         pieces = list(from_counts(self.counts, self.tile_q))
-        side = tiles_along(pieces, self.workflow, self.memory_bytes, self.workers)
-        return Grid.plain(side * self.tile_q)
+        limits = self.memory_bytes, self.workers
+        return denoise_grid(pieces, self._extents, self.workflow, *limits).grid
 
     def denoise_cells(self) -> Iterator[Unit]:
         """Cells of ``denoise``; complete once the shuffle is."""
@@ -106,8 +106,13 @@ class Survey(Ledger[Inputs, Workflow]):
     @cached_property
     def grid(self) -> Grid:
         """Grid of the ground cells; complete once the index is."""
-        boxes = [(xmin, ymin, xmax + 1, ymax + 1) for xmin, ymin, _, xmax, ymax, _ in _boxes(self)]
-        return Grid.of_workflow(boxes, self.workflow)
+        return Grid.of_workflow(self._extents, self.workflow)
+
+    @property
+    def _extents(self) -> list[Bounds]:
+        """Bounding boxes of the files' points; complete once the index is [quanta]."""
+        return [Bounds(west, south, east + 1, north + 1)
+                for west, south, _, east, north, _ in _boxes(self)]  # fmt: skip
 
     @property
     def tile_q(self) -> int:

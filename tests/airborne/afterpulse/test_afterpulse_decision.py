@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from spl_batch.airborne.afterpulse import afterpulse_decision, foliage
 from spl_batch.airborne.afterpulse.returns_behind_planes import behind_plane, parents_of
 from spl_batch.airborne.afterpulse.weighted_counts import UNIT, weigh_around
+from spl_batch.airborne.beams.shot_runs import beamlets_of
 from spl_batch.airborne.settings import AfterpulseSettings
 from spl_batch.airborne.steps import STEPS
 from spl_batch.lattice.tables import PointFlag, PointTable, canonical_order
@@ -67,12 +68,12 @@ def inner(first: NDArray[np.float64], count: int) -> NDArray[np.intp]:
 def echo_of(
     table: PointTable, density: NDArray[np.float64], given: AfterpulseSettings = DEFAULT
 ) -> NDArray[np.bool_]:
-    return afterpulse_decision.resolve(table, density, given).echo
+    return afterpulse_decision.resolve(table, density, given, beamlets_of(table)).echo
 
 
 def chances(table: PointTable, density: NDArray[np.float64]) -> NDArray[np.float64]:
     """Probability of each return, 0 where nothing can be said."""
-    rows, chance, *_ = afterpulse_decision.probability(table, density)
+    rows, chance, *_ = afterpulse_decision.probability(table, density, beamlets_of(table))
     out = np.zeros(len(table))
     out[rows] = chance
     return out
@@ -121,14 +122,12 @@ def test_what_lies_behind_a_plane_is_that_of_a_plain_loop(seed: int, n: int, slo
     made = columns((xyz - xyz.min(axis=0)).astype(np.int32), np.arange(n), (0, 0, 0), 1500)
     o = made.points[3]
     xyz, time, channel, true = xyz[o], time[o], channel[o], true[o]
-    names = ("x", "y", "z", "gps_time", "channel")
-    types = (np.int64, np.int64, np.int32, np.float64, np.uint8)
-    values = (*xyz.T, time, channel)
-    table = PointTable({k: v.astype(t) for k, v, t in zip(names, values, types, strict=True)})
-    parents = parents_of(table, np.ones(n, np.bool_), lag, aside)
+    beamlets = beamlets_of(PointTable({"gps_time": time, "channel": channel}))
+    parents, chosen = np.empty(n, np.int32), rng.random(n) < 0.9
+    parents_of(*beamlets, xyz.astype(np.int32), chosen, lag, aside, parents)
     out, tilt = np.empty(n, np.bool_), np.empty((n, 2))
     behind_plane(
-        made, true, np.arange(n, dtype=np.int32), parents.astype(np.int32), (wide, high, thick),
+        made, true, np.arange(n, dtype=np.int32), parents, (wide, high, thick),
         share, least, out, tilt,
     )  # fmt: skip
     for q in range(n):
@@ -137,7 +136,7 @@ def test_what_lies_behind_a_plane_is_that_of_a_plain_loop(seed: int, n: int, slo
         lowest = above[d[above, 2] == d[above, 2].min(initial=10**6)]
         first = lowest[np.lexsort((xyz[lowest, 1], xyz[lowest, 0]))][:1]
         found = first[(d[first, 2] <= lag) & (np.hypot(*d[first, :2].T) <= aside)]
-        if not len(found):
+        if not len(found) or not chosen[q]:
             assert parents[q] == -1
             assert not out[q]
             continue
@@ -194,7 +193,7 @@ def test_in_crowns_the_ratio_of_rates_decides() -> None:
     true_rate = 3000 / 8**3 / BEAMLETS_PER_M2
     for odds in (0.2, 1.0, 30.0):
         table, density = survey(first, followers(first, rows, 0.6), rate=odds * true_rate)
-        _, chance, hard, *_ = afterpulse_decision.probability(table, density)
+        _, chance, hard, *_ = afterpulse_decision.probability(table, density, beamlets_of(table))
         assert not hard.any()
         assert float(np.median(chance)) == pytest.approx(odds / (odds + foliage.SIGHT[0]), abs=0.04)
         assert bool(echo_of(table, density)[len(first) :].mean() > 0.9) is (odds > 5)
@@ -249,7 +248,7 @@ def test_as_published_the_time_domain_decides() -> None:
     first = np.concatenate([surface, bed])
     published = AfterpulseSettings(method="published")
     table, density = survey(first, followers(first, inner(surface, 30), 1.2), afterpulse=0.95)
-    found = afterpulse_decision.resolve(table, density, published)
+    found = afterpulse_decision.resolve(table, density, published, beamlets_of(table))
     assert found.echo.tolist() == (table["afterpulse"] > 0.5).tolist()
     assert not found.dependent.any()
     assert not echo_of(table, density)[len(first) :].any(), "ours spares the bed"
@@ -289,7 +288,7 @@ def _wide_crowns() -> tuple[PointTable, NDArray[np.float64]]:
 def test_halo_and_order_do_not_matter() -> None:
     rng = np.random.default_rng(8)
     table, density = _wide_crowns()
-    whole = afterpulse_decision.resolve(table, density, DEFAULT)
+    whole = afterpulse_decision.resolve(table, density, DEFAULT, beamlets_of(table))
     chance = chances(table, density)
     assert 0.05 < whole.echo[table["afterpulse"] > 0].mean() < 0.95
     shuffled = rng.permutation(len(table))
@@ -300,7 +299,8 @@ def test_halo_and_order_do_not_matter() -> None:
     for low in range(0, 24_000, 3000):
         near = (table["x"] >= low - halo) & (table["x"] < low + 3000 + halo)
         own = ((table["x"] >= low) & (table["x"] < low + 3000))[near]
-        part = afterpulse_decision.resolve(table.take(near), density[near], DEFAULT)
+        given = table.take(near)
+        part = afterpulse_decision.resolve(given, density[near], DEFAULT, beamlets_of(given))
         for got, want in zip(part, whole, strict=True):
             np.testing.assert_array_equal(got[own], want[near][own])
         np.testing.assert_array_equal(

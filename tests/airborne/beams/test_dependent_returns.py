@@ -9,9 +9,9 @@ from spl_batch.airborne.beams.dependent_returns import (
     DEPENDENT_MIN,
     LAG_M,
     dependents,
-    families,
     follow,
 )
+from spl_batch.airborne.beams.shot_runs import beamlets_of
 from spl_batch.airborne.filter.denoise import denoise
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.constants import NOISE_AFTERPULSE, NOISE_BACKGROUND, NOISE_NOT_ASSESSED, NOISE_SIGNAL
@@ -56,20 +56,12 @@ def slow_follow(table: PointTable, dependent: np.ndarray, label: np.ndarray) -> 
 @settings(max_examples=50, deadline=None)
 def test_labels_are_taken_over_from_the_return_in_front(seed: int, n: int) -> None:
     table, dependent, label = beamlets(seed, n)
-    found = follow(table, dependent, label)
-    np.testing.assert_array_equal(found, slow_follow(table, dependent, label))
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(0, 60))
-@settings(max_examples=30, deadline=None)
-def test_whole_beamlets_suffice(seed: int, n: int) -> None:
-    table, dependent, label = beamlets(seed, n)
-    wanted = dependent & (np.arange(n) % 3 == 0)
-    rows = np.flatnonzero(families(table, wanted))
-    part = follow(table.take(rows), dependent[rows], label[rows])
-    found = np.where(wanted, 99, label)
-    found[rows] = part
-    np.testing.assert_array_equal(found[wanted], follow(table, dependent, label)[wanted])
+    usable = dependent | (np.arange(n) % 4 > 0)
+    found = follow(table, beamlets_of(table), usable, dependent, label)
+    rows = np.flatnonzero(usable)
+    expected = slow_follow(table.take(rows), dependent[rows], label[rows])
+    np.testing.assert_array_equal(found[rows], expected)
+    np.testing.assert_array_equal(found[~usable], label[~usable])
 
 
 def test_who_depends() -> None:

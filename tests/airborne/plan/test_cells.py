@@ -1,13 +1,15 @@
 """Cells of the absolute grid, against loops over tiles."""
 
 import itertools
+import math
+from collections.abc import Iterable
 from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spl_batch.airborne.plan.grid import MOST_TILES, Grid, tile_counts, tiles_along
+from spl_batch.airborne.plan.grid import MARGIN_COST, MOST_TILES, Grid, denoise_grid, tile_counts
 from spl_batch.airborne.plan.task_memory import halo_m, task_bytes
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.plan.worker_memory import usable_bytes
@@ -28,19 +30,24 @@ def workflow(**tiling: Any) -> Workflow:
     )
 
 
+def extents(counts: Iterable[CellId], edge: int) -> list[Bounds]:
+    return [cell_bounds(cell, edge) for cell in counts]
+
+
 @settings(max_examples=40, deadline=None)
 @given(COUNTS, st.sampled_from([100, 300, 250]), st.sampled_from([0, 30, 130]))
 def test_cells_own_each_tile_and_read_their_margin(
     counts: dict[CellId, int], edge: int, margin: int
 ) -> None:
-    found = {unit.name: unit for unit in Grid.plain(edge).units(counts, EDGE, margin)}
-    assert sorted(found) == Grid.plain(edge).owners(counts, EDGE)
+    grid = Grid.of_boxes(extents(counts, EDGE), edge, 0)
+    found = {unit.name: unit for unit in grid.units(counts, EDGE, margin)}
+    assert sorted(found) == grid.owners(counts, EDGE)
     for name, unit in found.items():
         i, j = unit.cell
         assert unit.core == Bounds(i * edge, j * edge, (i + 1) * edge, (j + 1) * edge)
         mine = [t for t in counts if overlap(cell_bounds(t, EDGE), unit.core)]
         assert unit.points == sum(counts[t] for t in mine)
-        assert {t for t in counts if name in Grid.plain(edge).owners([t], EDGE)} == set(mine)
+        assert {t for t in counts if name in grid.owners([t], EDGE)} == set(mine)
         reach = grow(unit.core, margin)
         near = {t: shared(cell_bounds(t, EDGE), reach) for t in counts}
         near = {t: part for t, part in near.items() if overlap(cell_bounds(t, EDGE), reach)}
@@ -65,19 +72,48 @@ def everywhere(points: int, side: int) -> dict[CellId, int]:
     )
 
 
+def chosen(counts: dict[CellId, int], asked: Workflow, memory: int, workers: int) -> Grid:
+    tile_q = quanta(asked.tiling.tile_m)
+    pieces, boxes = list(from_counts(counts, tile_q)), extents(counts, tile_q)
+    grid, cells, work = denoise_grid(pieces, boxes, asked, memory, workers)
+    assert work >= 0.999 * sum(counts.values())
+    assert cells == len(list(grid.units(counts, tile_q, 0)))
+    return grid
+
+
 @pytest.mark.parametrize("gib", [1, 2, 4, 16])
 def test_cells_fit_into_memory(gib: int) -> None:
     asked = workflow()
-    tile_q = quanta(asked.tiling.tile_m)
-    pieces = list(from_counts(everywhere(600_000, 24), tile_q))
-    side = tiles_along(pieces, asked, gib * 2**30, 1)
-    peak = max(piece.peak(side * tile_q, quanta(halo_m(asked))).points for piece in pieces)
+    tile_q, margin = quanta(asked.tiling.tile_m), quanta(halo_m(asked))
+    counts = everywhere(600_000, 24)
+    grid = chosen(counts, asked, gib * 2**30, 1)
+    peak = max(unit.held for unit in grid.units(counts, tile_q, margin))
+    side = grid.edge // tile_q
     assert side == 1 or task_bytes("denoise", peak) <= usable_bytes(gib * 2**30)
     assert side == {1: 1, 2: 2, 4: 4, 16: MOST_TILES}[gib]
 
 
 def test_every_worker_has_cells_and_a_given_side_is_taken() -> None:
-    pieces = list(from_counts(everywhere(1000, 8), 100_000))
-    sides = [tiles_along(pieces, workflow(), 2**40, workers) for workers in (0, 1, 2, 4, 16, 99)]
+    counts = everywhere(1000, 8)
+    sides = [chosen(counts, workflow(), 2**40, w).edge // 100_000 for w in (0, 1, 2, 4, 16, 99)]
     assert sides == [8, 8, 4, 4, 2, 1]
-    assert tiles_along(pieces, workflow(block_tiles=5), 2**30, 99) == 5
+    assert chosen(counts, workflow(block_tiles=5), 2**30, 99).edge == 500_000
+
+
+@settings(max_examples=25, deadline=None)
+@given(COUNTS, st.integers(1, 9))
+def test_the_cells_are_those_that_end_soonest(counts: dict[CellId, int], workers: int) -> None:
+    asked = workflow()
+    tile_q, margin = quanta(asked.tiling.tile_m), quanta(halo_m(asked))
+
+    def takes(side: int) -> float:
+        grid = Grid.of_boxes(extents(counts, tile_q), side * tile_q, margin)
+        own, read = ([u.held for u in grid.units(counts, tile_q, m)] for m in (0, margin))
+        work = [a + MARGIN_COST * (b - a) for a, b in zip(own, read, strict=True)]
+        rounds = math.ceil(len(work) / workers)
+        return min(sum(work) / workers + (1 - 1 / workers) * max(work), rounds * max(work))
+
+    grid = chosen(counts, asked, 2**50, workers)
+    least = min(takes(side) for side in range(1, MOST_TILES + 1))
+    # what a cell holds is a whole number of points
+    assert takes(grid.edge // tile_q) <= least + 2 * len(counts) + 2
