@@ -10,8 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from spl_batch.airborne.accuracy.checkpoint_errors import CheckpointStatistics
 from spl_batch.airborne.report.model import (
     Accuracy,
+    Checkpoints,
     Counts,
     Report,
     Survey,
@@ -88,6 +90,15 @@ class TestVerdicts:
         assert level in verdict.text
         assert verdict.tone == tone
         assert "open ground" in verdict.text
+
+    @pytest.mark.parametrize("rmse", [0.0312, None])
+    def test_checkpoints_tell_how_the_terrain_fits_where_no_reference_does(
+        self, rmse: float | None
+    ) -> None:
+        at = CheckpointStatistics(n=7, rmse_v1_m=rmse), CheckpointStatistics(n=0)
+        tested = Checkpoints(statement="", nva=at[0], vva=at[1], points=())
+        said = verdicts(make_report(accuracy=None, checkpoints=tested))[0]
+        assert ("7 open checkpoints" in said.text) == (rmse is not None)
 
     def test_open_ground_goes_before_everything(self) -> None:
         made = Accuracy(

@@ -257,7 +257,7 @@ class TestMaps:
         values = rng.normal(10, 3, (23, 37))
         values[rng.random(values.shape) < 0.3] = -9999.0
         values[:4, :4] = np.nan
-        made = maps.reduce_raster(Raster(values, (0.0, 37.0, 0.0, 23.0)), largest=10)
+        made = maps.reduce_raster(Raster(values, (100.0, 137.0, 50.0, 73.0)), largest=10)
         assert made.values.shape == (6, 10)
         for row in range(6):
             for column in range(10):
@@ -265,4 +265,4 @@ class TestMaps:
                 block = [v for v in block if np.isfinite(v) and v != -9999.0]
                 expected = np.mean(block) if block else np.nan
                 np.testing.assert_allclose(made.values[row, column], expected, rtol=1e-12)
-        assert made.extent_m == pytest.approx((0.0, 40.0, -1.0, 23.0))
+        assert made.extent_m == pytest.approx((100.0, 140.0, 49.0, 73.0))
