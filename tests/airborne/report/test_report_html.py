@@ -266,3 +266,7 @@ class TestMaps:
                 expected = np.mean(block) if block else np.nan
                 np.testing.assert_allclose(made.values[row, column], expected, rtol=1e-12)
         assert made.extent_m == pytest.approx((100.0, 140.0, 49.0, 73.0))
+
+    def test_a_ramp_spans_the_values_or_something(self) -> None:
+        assert maps.spread(np.array([100.0, np.nan, 110.0]), 0, 100) == (100.0, 110.0)
+        assert maps.spread(np.full(3, 100.0), 0, 100) == pytest.approx((99.95, 100.05))
