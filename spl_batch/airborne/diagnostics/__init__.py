@@ -1,6 +1,7 @@
 """Diagnostics of a result: five general measures that warn where a rule for each cause is unknown.
 
-1. Noise that is observed over what is expected, by layer of height and cell (``noise_fit``).
+1. Noise that is observed over what is expected, by layer of height and cell (``noise_layers``,
+   ``noise_fit``).
 2. Returns that fill the air above ground, or float with nothing below them (``air_fill``).
 3. Followers of hard surfaces by lag, against the law of afterpulses
    (:mod:`spl_batch.airborne.afterpulse.law_warnings`).

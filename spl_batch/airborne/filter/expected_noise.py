@@ -17,10 +17,9 @@ from spl_batch.airborne.noise.haze import (
     WINDOW,
     Air,
     Axes,
-    Layers,
+    Counts,
     count_cubes,
     find_air,
-    noise_by_layer,
     noise_with_air,
 )
 from spl_batch.airborne.noise.local_noise import MARGIN_VOXELS, SQUARES, around, listened
@@ -181,7 +180,7 @@ class Look(NamedTuple):
     core: Bounds  #: What it owns [quanta].
     #: Air that holds more noise than the model expects, in the cell and around it.
     air: Air | None = None
-    layers: Layers | None = None  #: How the model fits elsewhere.
+    counts: Counts | None = None  #: Returns of cubes, by which it was found.
 
 
 def look_at_air(
@@ -198,9 +197,7 @@ def look_at_air(
     counts = count_cubes((x, y, z), counted)
     if counts is None:
         return Look(core)
-    air = find_air(counts, model.local)
-    heard = model.listened if model.heard else None
-    return Look(core, air, noise_by_layer(counts, air, model.local, core, heard))
+    return Look(core, find_air(counts, model.local), counts)
 
 
 class NoiseInAir(NamedTuple):
@@ -226,18 +223,8 @@ class NoiseInAir(NamedTuple):
         return noise_with_air(xyz, of_model(self.model, xyz), self.air)
 
 
-def facts_of(look: Look) -> dict[str, Any]:
-    """Report entries of a cell: ``air`` over what it owns, by :func:`_places`, and ``layers``.
-
-    ``layers`` has index, returns and expected returns of each; none where nothing was looked at.
-    """
-    layers = () if look.layers is None else zip(*(v.tolist() for v in look.layers), strict=True)
-    listed = [[layer, *both] for layer, *both in layers if any(both)]
-    return {"air": _listed(look), "layers": listed}
-
-
-def _listed(look: Look) -> list[list[float]]:
-    """Air over what a cell owns, by :func:`_places`."""
+def air_facts(look: Look) -> list[list[float]]:
+    """Air over what a cell owns, as facts of the cell, by :func:`_places`."""
     if look.air is None:
         return []
     centre = look.air.cube * quanta(CUBE_M) + quanta(CUBE_M) // 2

@@ -25,6 +25,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.beams.dependent_returns import dependents
 from spl_batch.airborne.filter.drowned_surfaces import around, below_surfaces, dense_noise, unfilled
 from spl_batch.constants import NOISE_BACKGROUND, NOISE_SIGNAL
 from spl_batch.lattice.tables import PointTable
@@ -75,7 +76,7 @@ class Bare(NamedTuple):
     marked: NDArray[np.bool_]  #: (a, b, c): the cells.
     dense: NDArray[np.float32]  #: (a, b, c): noise where it is dense, 0 elsewhere [1/m3].
     lowest: NDArray[np.bool_]  #: (a, b, c): cells below all surfaces of their columns.
-    kept: Count  #: (a, b, c): signals [count].
+    kept: Count  #: (a, b, c): signals, dependent ones left out [count].
     rows: NDArray[np.int32]  #: (m,): points of the table that were kept or refused.
     cell: NDArray[np.int32]  #: (m,): cell of each of them in ``marked.ravel()``.
 
@@ -178,8 +179,10 @@ def bare_cells(table: PointTable, *, spare_above: bool = False) -> Bare | None:
         index.append(place[-1][at])
     shape = tuple(int(along[-1]) + 1 for along in place)
     cell = np.ravel_multi_index(index, shape)
+    # An afterpulse of noise is no evidence beside it.
+    own = signal & ~dependents(table)[rows]
     kept, gone = (
-        np.bincount(cell[of], minlength=math.prod(shape)).reshape(shape) for of in (signal, ~signal)
+        np.bincount(cell[of], minlength=math.prod(shape)).reshape(shape) for of in (own, ~signal)
     )
     held = [_in_boxes(kept, gone, box) for box in BOXES]
     occupied = kept + gone > 0

@@ -111,7 +111,9 @@ def fit_gate(
         seen = best.supported and _differ(filled, gate_m)
     low, high = (best.low, best.high) if seen else _of_length(best, gate_m or GATE_ASSUMED_M)
     length = _length_m(best, low, high, size)
-    basis = _basis(length, gate_m, seen=seen)
+    basis: Basis = "assumed" if gate_m is None and not seen else "estimated"
+    if gate_m is not None and math.isclose(length, gate_m, rel_tol=1e-6):
+        basis = "stated"
     warnings = tuple(_remarks(length, gate_m, basis))
     low, high = np.repeat(low, size), np.repeat(high, size)
     if best.name == "height":
@@ -215,13 +217,6 @@ def _of_length(edges: _Edges, gate_m: float) -> tuple[NDArray[np.float64], NDArr
     extent = edges.high - edges.low
     half = np.maximum(0.5 * gate_m * edges.scale, 0.0 if edges.supported else 0.5 * extent)
     return middle - half, middle + half
-
-
-def _basis(length_m: float, stated_m: float | None, *, seen: bool) -> Basis:
-    """Where the length comes from that everything else uses."""
-    if stated_m is None:
-        return "estimated" if seen else "assumed"
-    return "stated" if math.isclose(length_m, stated_m, rel_tol=1e-6) else "estimated"
 
 
 def _remarks(length_m: float, stated_m: float | None, basis: Basis) -> Iterator[Finding]:

@@ -32,7 +32,7 @@ Counts are integers on absolute lattices; a point's noise depends on points up t
 """
 
 from collections.abc import Callable
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -81,18 +81,14 @@ SMOOTH: Final = 3.0
 PAIRS_LEAST: Final = 150
 """Pairs in columns that suffice: chance then leaves an error of a sixth."""
 
-CHANCE: Final = 3.0
-"""Standard deviations of chance that are allowed where a square tells little."""
-
 SOLID: Final = 3.0
 """Multiple of a square's noise from which on a cube holds a surface too."""
 
-STEP: Final = 1.1
-"""Ratio of the model's noise from one layer to the next from which on a gate ends there: one of ten
-flightlines; elsewhere it changes over tens of metres."""
+EACH, THREE, ONE = (np.ones(n, np.int64) for n in (WINDOW, 3, 1))
+"""Weights of cubes along the edge of a square, of three layers, and of one."""
 
-EXACT: Final = 2.0**20
-"""Parts of an expected return: whole ones add up alike in any blocks."""
+UPRIGHT: Final = np.ones((1, 1, 3), np.bool_)
+"""A cube, the one below and the one above."""
 
 Axes = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
 
@@ -119,14 +115,6 @@ class Air(NamedTuple):
     held: NDArray[np.bool_]  #: (m,): cubes found to hold air; the others lie beside one.
     returns: NDArray[np.int64]  #: (m,): returns in the cube.
     expected: NDArray[np.float64]  #: (m,): noise that the model expects at its centre [1/m3].
-
-
-class Layers(NamedTuple):
-    """Returns of cubes in noise alone, by layer, beside what the model expects."""
-
-    layer: NDArray[np.int64]  #: (l,): index on the absolute lattice.
-    returns: NDArray[np.int64]  #: (l,): returns [count].
-    expected: NDArray[np.float64]  #: (l,): by the model [count].
 
 
 def count_cubes(xyz: Axes, counted: NDArray[np.bool_]) -> Counts | None:
@@ -183,83 +171,21 @@ def find_air(counts: Counts, expected: Expected) -> Air | None:
     candidate, steady = _even(counts)
     if not candidate.any():
         return None
-    lowest, highest = _quarters(counts.held, _with_beside(candidate))
+    lowest, highest = quarters(counts.held, ndimage.binary_dilation(candidate, UPRIGHT))
     level = (lowest > 1) & (highest <= SMOOTH * lowest)
-    candidate &= _three(level)
+    candidate &= ndimage.binary_erosion(level, UPRIGHT)
     tapering = candidate & ~steady
     if tapering.any():
         candidate &= steady | _hung(counts, tapering & _alike(counts), expected)
-    level &= _with_beside(candidate)
+    level &= ndimage.binary_dilation(candidate, UPRIGHT)
     at = np.nonzero(level)
     if not len(at[0]):
         return None
-    model = expected(_centres(counts, at))
+    model = expected(centres(counts, at))
     # Where nothing is listened to nothing is known either.
     level[at] = (lowest[at] >= CLEARLY * model * CUBE_M**3 + 1.0) & (model > 0.0)
-    seed = _with_beside(candidate & _three(level))
+    seed = ndimage.binary_dilation(candidate & ndimage.binary_erosion(level, UPRIGHT), UPRIGHT)
     return _around(counts, seed, lowest, expected) if seed.any() else None
-
-
-def noise_by_layer(
-    counts: Counts,
-    air: Air | None,
-    expected: Expected,
-    core: tuple[int, int, int, int],
-    heard_at: Expected | None = None,
-) -> Layers:
-    """Noise that is seen beside noise that is expected, away from haze and surfaces.
-
-    Even squares of the absolute grid without an empty column hold noise alone; those that a gate's
-    end cuts, or lies beside, are left out.
-
-    Parameters
-    ----------
-    counts, expected
-        As for :func:`find_air`.
-    core : (int, int, int, int)
-        West, south, east, north: squares count whose middle lies in it [quanta].
-    heard_at
-        The model's noise where flightlines are known to listen, 0 elsewhere; as ``expected``
-        without.
-    """
-    edge, half = quanta(CUBE_M), WINDOW // 2
-    asked = np.zeros(counts.held.shape, np.bool_)
-    inside = []
-    for axis, (low, high) in enumerate(((core[0], core[2]), (core[1], core[3]))):
-        cube = np.arange(counts.held.shape[axis]) + counts.corner[axis]
-        middle = cube * edge + edge // 2
-        inside.append((cube % WINDOW == half) & (low <= middle) & (middle < high))
-    asked[np.ix_(*inside, np.ones(len(counts.layer), np.bool_))] = True
-    full = _sum_of_square(np.asarray(counts.held.any(axis=2), np.int64)) == WINDOW**2
-    asked &= full[:, :, np.newaxis]
-    columns, cells = (_sum_of_square(pairs) for pairs in (counts.columns, counts.cells))
-    parts = round(CUBE_M / CELL_M)
-    asked &= parts * cells <= columns + CHANCE * np.sqrt(2.0 * (parts - 1) * columns)
-    if air is not None:
-        at = air.cube - [*counts.corner, 0]
-        at[:, 2] = np.searchsorted(counts.layer, at[:, 2])
-        asked[tuple(at.T)] = False
-    lower, upper = _quarters(counts.held, asked)
-    asked &= upper <= SMOOTH * (lower + CHANCE * np.sqrt(lower + 1.0))
-    at_middle = np.nonzero(asked)
-    # The middle cube stands for its square.
-    centres = _centres(counts, at_middle)
-    model, seen = expected(centres) * CUBE_M**3, counts.held[at_middle]
-    model = np.rint(model * EXACT) / EXACT
-    heard = (model > 0.0) & ~_cut(centres, heard_at or expected)
-    returns, predicted = (
-        np.bincount(at_middle[2][heard], values[heard], len(counts.layer))
-        for values in (seen, model)
-    )
-    return Layers(counts.layer, np.rint(returns).astype(np.int64), predicted.astype(np.float64))
-
-
-def _cut(centres: Axes, heard_at: Expected) -> NDArray[np.bool_]:
-    """Cubes in which a gate ends, or beside which it does: the model has a step there."""
-    x, y, z = centres
-    near = np.stack([heard_at((x, y, z + step * quanta(CUBE_M))) for step in (-1, 0, 1)])
-    cut: NDArray[np.bool_] = (near[1] <= 0.0) | (near.max(axis=0) > STEP * near.min(axis=0))
-    return cut
 
 
 def noise_with_air(xyz: Axes, noise: NDArray[np.float64], air: Air | None) -> NDArray[np.float64]:
@@ -279,35 +205,29 @@ def noise_with_air(xyz: Axes, noise: NDArray[np.float64], air: Air | None) -> ND
 
 def _even(counts: Counts) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Middles of squares, three layers high, that are even upwards; those with as much in each."""
-    columns, cells = (_sum_of_square(pairs) for pairs in (counts.columns, counts.cells))
-    seen = _sum_of_square(counts.held.astype(np.int64))
-    parts = round(CUBE_M / CELL_M)
-    even, steady = np.zeros((2, *seen.shape), np.bool_)
-    three = np.flatnonzero(counts.layer[2:] - counts.layer[:-2] == 2) + 1
-    for h in three:
-        about = slice(h - 1, h + 2)
-        in_columns, in_cells = columns[:, :, about].sum(axis=2), cells[:, :, about].sum(axis=2)
-        least, most = seen[:, :, about].min(axis=2), seen[:, :, about].max(axis=2)
-        told = in_columns >= 2 * PAIRS_LEAST
-        even[:, :, h] = told & (parts * in_cells <= EVEN * in_columns)
-        steady[:, :, h] = most <= STEADY * least
+    seen = sum_of_square(counts.held)
+    steady = ndimage.maximum_filter1d(seen, 3) <= STEADY * ndimage.minimum_filter1d(seen, 3)
+    in_columns = sum_of_square(counts.columns, EACH, EACH, THREE)
+    even = in_columns >= 2 * PAIRS_LEAST
+    # Layers that are left out lie between others.
+    even[:, :, 1:-1] &= counts.layer[2:] - counts.layer[:-2] == 2
+    even[:, :, [0, -1]] = False
+    in_columns = EVEN * in_columns
+    even &= round(CUBE_M / CELL_M) * sum_of_square(counts.cells, EACH, EACH, THREE) <= in_columns
     return even, steady
 
 
 def _alike(counts: Counts) -> NDArray[np.bool_]:
     """Squares, three layers high, whose columns hold what a plane through their cubes tells."""
-    even, slope = np.ones(WINDOW, np.int64), np.arange(WINDOW) - WINDOW // 2
+    slope = np.arange(WINDOW) - WINDOW // 2
     held = counts.held.astype(np.int64)
     total, east, north = (
-        _sum_of_square(held, *weights) for weights in ((even, even), (slope, even), (even, slope))
+        sum_of_square(held, *weights) for weights in ((EACH, EACH), (slope, EACH), (EACH, slope))
     )
     # Of 5 x 5 cubes of 5 x 5 columns.
-    told = 2 * total**2 - 6 * total + east**2 + north**2
-    pairs = 1250 * _sum_of_square(counts.columns)
-    out = np.zeros(held.shape, np.bool_)
-    told, pairs = (v[:, :, :-2] + v[:, :, 1:-1] + v[:, :, 2:] for v in (told, pairs))
-    out[:, :, 1:-1] = pairs <= ALIKE * told
-    return out
+    told = sum_of_square(2 * total**2 - 6 * total + east**2 + north**2, ONE, ONE, THREE)
+    pairs = 1250 * sum_of_square(counts.columns, EACH, EACH, THREE)
+    return pairs <= ALIKE * told
 
 
 def _hung(counts: Counts, asked: NDArray[np.bool_], expected: Expected) -> NDArray[np.bool_]:
@@ -317,7 +237,7 @@ def _hung(counts: Counts, asked: NDArray[np.bool_], expected: Expected) -> NDArr
     if not len(i):
         return out
     x, y = ((k + low) * edge + edge // 2 for k, low in zip((i, j), counts.corner, strict=True))
-    seen = _sum_of_square(counts.held.astype(np.int64))[i, j]
+    seen = sum_of_square(counts.held)[i, j]
     run = np.zeros(len(i), np.int64)
     solid, hung = np.zeros((2, len(i)), np.bool_)
     for layer in range(int(counts.layer[0]), int(counts.layer[-1]) + 1):
@@ -333,7 +253,7 @@ def _hung(counts: Counts, asked: NDArray[np.bool_], expected: Expected) -> NDArr
     return out & asked
 
 
-def _quarters(
+def quarters(
     held: NDArray[np.int32], asked: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Count that all but :data:`LEFT_OUT` cubes of each asked square reach, and do not exceed."""
@@ -346,26 +266,14 @@ def _quarters(
     return lower, upper
 
 
-def _three(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Places that are marked, and both the ones above and below them."""
-    found: NDArray[np.bool_] = ndimage.binary_erosion(marked, np.ones((1, 1, 3), np.bool_))
-    return found
-
-
-def _with_beside(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Marked places and all above and below them."""
-    found: NDArray[np.bool_] = ndimage.binary_dilation(marked, np.ones((1, 1, 3), np.bool_))
-    return found
-
-
-def _sum_of_square(values: NDArray[np.int64], *weights: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Sum over the square around each cube; with ``weights`` along x and y."""
-    for axis, along in enumerate(weights or (np.ones(WINDOW, np.int64),) * 2):
+def sum_of_square(values: NDArray[np.integer[Any]], *weights: NDArray[np.int64]) -> NDArray[Any]:
+    """Sum over the square around each cube; with ``weights`` along x, y, and upwards."""
+    for axis, along in enumerate(weights or (EACH, EACH)):
         values = ndimage.convolve1d(values, along, axis=axis, mode="constant")
     return values
 
 
-def _centres(counts: Counts, at: tuple[NDArray[np.intp], ...]) -> Axes:
+def centres(counts: Counts, at: tuple[NDArray[np.intp], ...]) -> Axes:
     """Centres of cubes [quanta]."""
     edge = quanta(CUBE_M)
     index = (at[0] + counts.corner[0], at[1] + counts.corner[1], counts.layer[at[2]])
@@ -395,5 +303,5 @@ def _around(
     )
     return Air(
         cube.astype(np.int64), wide[at] / CUBE_M**3, held[at], counts.held[at].astype(np.int64),
-        expected(_centres(counts, at)),
+        expected(centres(counts, at)),
     )  # fmt: skip

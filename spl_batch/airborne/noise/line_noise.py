@@ -119,7 +119,7 @@ def fit(
         interval_shots=settings.interval_shots,
         seen_shots=_seen_window(looks, last - first + 1, settings.interval_shots),
         gate_basis=gate.basis,
-        findings=(*warnings, *gate.warnings, *region.warnings, *_few(merged), *_strays(merged)),
+        findings=(*warnings, *gate.warnings, *region.warnings, *_remarks(merged)),
     )
 
 
@@ -142,7 +142,7 @@ def offered_lengths(
     column = dict(zip(SUMMARY, summary.T, strict=True))
     cosine = column["cosine"][:, None]
     buffers = buffer_m * np.array(BUFFER_LADDER) / cosine
-    above, below = _around_signal(gate, column)
+    above, below = _around_signal(gate, summary)
     both = np.stack([above[:, None] - buffers, below[:, None] - buffers], axis=1)
     spread = np.maximum(column["signal_sd"] / column["cosine"], 1e-6)[:, None, None]
     ratio = both / spread
@@ -152,9 +152,10 @@ def offered_lengths(
 
 
 def _around_signal(
-    gate: Gate, column: dict[str, NDArray[np.float64]]
+    gate: Gate, summary: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Slant length of gate in front of and behind the signal: two (m,) float64 [m]."""
+    column = dict(zip(SUMMARY, summary.T, strict=True))
     if gate.kind == "height":
         z, cosine = column["signal_z"], column["cosine"]
         return (gate.near - z) / cosine, (z - gate.far) / cosine
@@ -171,7 +172,7 @@ def choose_region(
     """Largest buffer that leaves a noise region, and the sides of it that agree."""
     counts = outside.sum(axis=0, dtype=np.int64)
     offered = exposure.sum(axis=0)
-    above, below = _around_signal(gate, dict(zip(SUMMARY, summary.T, strict=True)))
+    above, below = _around_signal(gate, summary)
     whole = float(np.sum(fired * np.maximum(above + below, 0.0)))
     wide = np.flatnonzero(offered.sum(axis=0) >= REGION_MIN * whole)
     if whole <= 0 or len(wide) == 0:
@@ -206,9 +207,8 @@ def profile_rate(
     Signal only adds: the lower quartile of the bins' rates is background wherever signal fills less
     than three quarters of the gate.
     """
-    column = dict(zip(SUMMARY, summary.T, strict=True))
-    above, below = _around_signal(gate, column)
-    cosine, half = column["cosine"], PROFILE_BINS // 2
+    above, below = _around_signal(gate, summary)
+    cosine, half = summary[:, SUMMARY.index("cosine")], PROFILE_BINS // 2
     edges = np.clip(np.stack([-above * cosine, below * cosine]) + half, 0, PROFILE_BINS - 1)
     step = np.zeros(PROFILE_BINS)
     np.add.at(step, np.ceil(edges[0]).astype(np.int64), fired / cosine)
@@ -221,21 +221,18 @@ def profile_rate(
     return float(np.quantile(profile[use] / exposure[use], 0.25))
 
 
-def _strays(merged: dict[str, NDArray[Any]]) -> Iterator[Finding]:
-    """Warn of returns that are far beyond the gate."""
+def _remarks(merged: dict[str, NDArray[Any]]) -> Iterator[Finding]:
+    """Findings on intervals whose returns are so few that noise passes for signal, and on strays.
+
+    Strays lie far beyond the gate.
+    """
+    per_interval = float(merged["beamlets"].mean())
+    if per_interval < RETURNS_MIN:
+        low = 1.0 / max(per_interval, 1.0)
+        values = {"kind": "few", "per_interval": per_interval, "low": low}
+        yield Finding("N01", values, badness=-per_interval)
     if count := int(merged["strays"][0]):
         yield Finding("N01", {"kind": "strays", "count": count}, badness=count)
-
-
-def _few(merged: dict[str, NDArray[Any]]) -> tuple[Finding, ...]:
-    """Warn of intervals with so few returns that noise is taken for signal."""
-    per_interval = float(merged["beamlets"].mean())
-    if per_interval >= RETURNS_MIN:
-        return ()
-    values = {
-        "kind": "few", "per_interval": per_interval, "low": 1.0 / max(per_interval, 1.0)
-    }  # fmt: skip
-    return (Finding("N01", values, badness=-per_interval),)
 
 
 def _nothing(settings: NoiseSettings, sensor: Sensor) -> LineModel:

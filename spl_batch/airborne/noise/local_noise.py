@@ -72,7 +72,7 @@ def listened(
     beamlets = unpack(counts) / np.float32(BEAMLET)
     covered = ndimage.minimum_filter(ndimage.maximum_filter(beamlets > 0, (3, 3, 1)), (3, 3, 1))
     density = _believed(beamlets, covered.astype(np.float32))
-    each = each_stands_for(amount, beamlets, voxel_m)
+    each = each_stands_for(amount, counts, voxel_m)
     density *= each.astype(np.float32).repeat(SQUARES, axis=0).repeat(SQUARES, axis=1)
     return density
 
@@ -123,16 +123,15 @@ def _believed(beamlets: NDArray[np.float32], covered: NDArray[np.float32]) -> ND
 
 
 def each_stands_for(
-    amount: NDArray[np.int64], beamlets: NDArray[np.float32], voxel_m: float
+    amount: NDArray[np.int64], counts: NDArray[np.integer[Any]], voxel_m: float
 ) -> NDArray[np.float64]:
     """Noise that a beamlet over a square stands for, by voxel, as if its gate ended in none [1/m3].
 
-    ``amount``: (nx, ny, nz), sum of ``VoxelPart.amount``. ``beamlets``: (4 nx, 4 ny, nz), over each
-    square [count].
+    ``amount``, ``counts``: (nx, ny, nz) and (nx, ny, nz, 16), as :func:`listened` has them.
     """
-    mean = amount / (VOXEL_FIXED_POINT * voxel_m**3)
-    own = of_voxels(beamlets)
-    part = ratio(blurred(mean), blurred(own))
+    mean = blurred(amount / (VOXEL_FIXED_POINT * voxel_m**3))
+    own = blurred(counts.mean(axis=3) / BEAMLET)
+    part = np.divide(mean, own, out=np.zeros(own.shape), where=own > 0.0)
     # The largest of each layer and those above and below.
     whole = ndimage.maximum_filter1d(part, 3, axis=2)
     return np.where(part < (1.0 - CUT) * whole, whole, part)
@@ -150,21 +149,6 @@ def blurred(values: NDArray[Any], own: float = 1.0) -> NDArray[Any]:
     for axis in (0, 1):
         values = ndimage.convolve1d(values, [1.0, own, 1.0], axis=axis, mode="constant")
     return values
-
-
-def of_voxels(values: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
-    """Mean of the squares of each voxel."""
-    nx, ny, nz = (n // d for n, d in zip(values.shape, (SQUARES, SQUARES, 1), strict=True))
-    blocks = values.reshape(nx, SQUARES, ny, SQUARES, nz)
-    mean: NDArray[np.float64] = blocks.mean(axis=(1, 3), dtype=np.float64)
-    return mean
-
-
-def ratio(total: NDArray[np.float64], number: NDArray[np.float64]) -> NDArray[np.float64]:
-    """One over the other, 0 where that is 0."""
-    some = number > 0.0
-    found: NDArray[np.float64] = np.where(some, total / np.where(some, number, 1.0), 0.0)
-    return found
 
 
 @njit()

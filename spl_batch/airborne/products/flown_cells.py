@@ -10,36 +10,48 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import convolve
+from scipy.spatial import KDTree
 
-from spl_batch.airborne.products.cell_values import held
+from spl_batch.airborne.products.cell_values import cell_number, held, shape_of
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
 from spl_batch.numerics.nearest_cells import within_discs
-
-Heights = tuple[int, int]
-"""Lowest and highest [quanta]."""
+from spl_batch.numerics.nearest_heights import NEAREST
 
 NEAR_GROUND_M: Final = 10.0
-"""How far above the highest and below the lowest ground around a return counts [m]: a beam that
-leans by 15 degrees is 3 m off there."""
+"""How far above or below the ground around a return counts [m]: a beam that leans by 15 degrees is
+3 m off there."""
 
 
-def ground_heights(table: PointTable, region: Bounds) -> Heights | None:
-    """Lowest and highest ground of a region [quanta]; None without any."""
-    ground = table["z"][inside(table["x"], table["y"], region) & (table["ground"] == 1)]
-    return (int(ground.min()), int(ground.max())) if len(ground) else None
+def about_ground(
+    table: PointTable, region: Bounds, ground: NDArray[np.float64], size: int
+) -> NDArray[np.bool_]:
+    """Returns of a region that lie about as high as the ground around: (n,) bool.
 
+    The ground around is the median of the :data:`NEAREST` raster cells with ground that are nearest
+    to the return's: where noise is taken for ground beyond the edge of a swath, it is one or two.
+    Amid cells with ground light has met it at any height.
 
-def about_ground(table: PointTable, region: Bounds, ground: Heights | None) -> NDArray[np.bool_]:
-    """Returns of a region that lie about as high as its ground: (n,) bool.
-
-    ``ground``: what :func:`ground_heights` gave; without any all returns count.
+    ``ground``: (m, 3), mean places of raster cells with ground, from the region's corner; without
+    any all returns count. ``size``: edge of a raster cell [quanta].
     """
     there = inside(table["x"], table["y"], region)
-    if ground is not None:
-        z, near = table["z"], quanta(NEAR_GROUND_M)
-        there &= (z >= ground[0] - near) & (z <= ground[1] + near)
+    if not len(ground):
+        return there
+    rows, columns = np.flatnonzero(there), shape_of(region, size)[1]
+    number = cell_number(table.select(("x", "y")).take(rows), region, size)
+    beside = np.zeros(shape_of(region, size), np.int64)
+    beside[tuple((ground[:, 1::-1] // size).astype(np.int64).T)] = 1
+    amid = convolve(beside, np.ones((3, 3), np.int64), mode="constant") >= NEAREST
+    asked = ~amid.ravel()[number]
+    cells, of_cell = np.unique(number[asked], return_inverse=True)
+    centres = (np.column_stack([cells % columns, cells // columns]) + 0.5) * size
+    nearest = KDTree(ground[:, :2]).query(centres, np.arange(min(NEAREST, len(ground))) + 1)[1]
+    height = np.median(ground[nearest, 2], axis=1)[of_cell]
+    rows = rows[asked]
+    there[rows] = np.abs(table["z"][rows] - height) <= quanta(NEAR_GROUND_M)
     return there
 
 

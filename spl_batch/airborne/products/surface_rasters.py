@@ -46,7 +46,7 @@ from spl_batch.airborne.products.cell_values import (
     robust_cell_means,
     shape_of,
 )
-from spl_batch.airborne.products.flown_cells import about_ground, covered_cells, ground_heights
+from spl_batch.airborne.products.flown_cells import about_ground, covered_cells
 from spl_batch.airborne.products.gap_surface import FAR_M, bridged
 from spl_batch.airborne.products.noise_aloft import noise_by_cell
 from spl_batch.airborne.products.terrain_quality import Scatter, scatter_of, terrain_sigma
@@ -151,20 +151,21 @@ class _Surfaces:
         near = grow(cell, top_margin(settings) * size)
         support = support_of(noise_by_cell(table, self.region, near, size), settings)
         dsm, lent = top_surface(signal, level, support, cell, settings)
-        dtm, sigma = self._terrain(near)
+        ground = self._means()
+        dtm, sigma = self._terrain(near, *ground)
         dsm[lent & np.isnan(dtm)] = np.nan
         dsm = np.where(dsm < dtm, dtm, dsm)
         rasters = {"dtm": dtm * QUANTUM_M, "dsm": dsm * QUANTUM_M, "chm": (dsm - dtm) * QUANTUM_M}
         rasters["dtm_quality"] = np.where(np.isnan(dtm), np.nan, sigma)
         rasters |= _counts(signal, cell, size)
-        over = self._flown() | (rasters["density"] > 0)
+        over = self._flown(ground[0]) | (rasters["density"] > 0)
         rasters["density"] = np.where(over, rasters["density"], np.nan)
         return {name: _delivered(values) for name, values in rasters.items()}
 
-    def _flown(self) -> NDArray[np.bool_]:
+    def _flown(self, means: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Raster cells of the ground cell that were flown."""
-        table, region = self._table, self.region
-        there = about_ground(table, region, ground_heights(table, region))
+        table, ground = self._table, means[~np.isnan(means[:, 2])]
+        there = about_ground(table, self.region, ground, self._size)
         return covered_cells(table["x"][there], table["y"][there], self._cell, self._settings)
 
     def _means(self) -> tuple[NDArray[np.float64], Scatter, NDArray[np.bool_]]:
@@ -182,11 +183,12 @@ class _Surfaces:
         wet[cell_number(of_water, self.region, self._size)] = True
         return means, scatter, wet
 
-    def _terrain(self, near: Bounds) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _terrain(
+        self, near: Bounds, means: NDArray[np.float64], scatter: Scatter, wet: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """DTM [quanta] and its standard deviation [m] from the south; NaN in voids."""
         cell, size, settings = self._cell, self._size, self._settings
         margin, (rows, cols) = margin_cells(settings), shape_of(self.region, size)
-        means, scatter, wet = self._means()
         scatter = Scatter(*(v.reshape(rows, cols, *v.shape[1:]) for v in scatter))
         sigma = terrain_sigma(means.reshape(rows, cols, 3) * QUANTUM_M, settings.cell_m, scatter)
         vertices = means[~np.isnan(means[:, 2])]

@@ -8,11 +8,12 @@ import numpy as np
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.diagnostics.air_fill import float_facts
 from spl_batch.airborne.diagnostics.noise_fit import P_VALUES
+from spl_batch.airborne.diagnostics.noise_layers import layer_facts
 from spl_batch.airborne.filter import denoise as denoising
 from spl_batch.airborne.filter.expected_noise import (
     COLUMNS_OF_AIR,
     NoiseInAir,
-    facts_of,
+    air_facts,
     look_at_air,
     noise_model,
 )
@@ -39,8 +40,9 @@ def denoise(args: Mapping[str, Any], context: Context) -> Produced:
     shares = stored_by_line(context.store, args["voxels"])
     model = noise_model([seen[axis] for axis in "xyz"], shares, args["beamlets"], workflow.noise)
     look = look_at_air(seen, model, workflow, core)
-    del seen
+    facts = {"core": list(core), "air": air_facts(look), "layers": layer_facts(look, model)}
     noise = NoiseInAir(model, look.air)
+    del seen, look
     near = grow(core, min(args["halo"], quanta(denoising.reach_m(workflow.filter))))
     points, origin = cell.read(near, denoising.COLUMNS_NEEDED, ordered=True)
     owned = inside(points["x"], points["y"], core)
@@ -61,7 +63,7 @@ def denoise(args: Mapping[str, Any], context: Context) -> Produced:
     labels = {**decided, "noise_density": mean}
     path = context.store.table("denoise", args["cell"])
     write_labels(path, place, labels)
-    return Produced([path], {"core": list(core), **facts_of(look)}, len(mean))
+    return Produced([path], facts, len(mean))
 
 
 def ground(args: Mapping[str, Any], context: Context) -> Produced:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from spl_batch.airborne.diagnostics.noise_layers import layer_facts
 from spl_batch.airborne.filter import expected_noise as looking
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.lattice.tables import PointTable
@@ -43,7 +44,7 @@ def test_air_and_layers_of_a_cell(*, tapers: bool) -> None:
     whole = looking.look_at_air(table, model, settings, CORE)
     assert whole.air is not None
     assert whole.air.held.sum() > 500
-    assert len(looking.facts_of(whole)["layers"]) == (27 if tapers else 20)
+    assert len(layer_facts(whole, model)) == (27 if tapers else 20)
 
 
 def test_air_is_listed_by_squares_and_heights() -> None:
@@ -51,7 +52,7 @@ def test_air_is_listed_by_squares_and_heights() -> None:
     model: Any = SimpleNamespace(local=lambda at: np.full(len(at[0]), 0.04), heard=())
     settings = Workflow.model_validate({"survey": {"flightlines": "x"}, "output": "o"})
     (found,) = [looking.look_at_air(table, model, settings, CORE)]
-    places = looking.facts_of(found)["air"]
+    places = looking.air_facts(found)
     sides = np.array([place[:4] for place in places]) * 5000
     assert len({tuple(side // 25_000) for side in sides[:, :2]}) == len(sides) > 10
     assert np.all(sides[:, 2:] - sides[:, :2] <= 25_000)

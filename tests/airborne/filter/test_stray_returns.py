@@ -52,6 +52,21 @@ def test_a_cluster_beside_a_surface_but_far_above_or_below_is_stray(height: floa
     assert not found[9:].any()
 
 
+def test_afterpulses_of_noise_do_not_stand_beside_it() -> None:
+    # Off the edge of a survey, where little is refused: one beamlet's train of returns.
+    rng = np.random.default_rng(7)
+    ground = plate(rng, (0, 0, 40), (80, 40, 40), 8.0)
+    train = np.array([(40.0, 72.0, 170.0), (40.0, 72.1, 169.4), (40.0, 72.3, 168.2)])
+    beside = rng.uniform((36, 68, 100), (44, 76, 170), (13, 3))
+    points = table({KEPT: [train, ground], REFUSED: [beside, background(rng)[:2000] * (1, 0.6, 1)]})
+    assert not stray(points)[:3].any()
+    chance = np.zeros(len(points), np.float32)
+    chance[1:3] = 0.45
+    found = stray(points.with_columns(afterpulse=chance))
+    assert found[:3].all()
+    assert not found[3:].any()
+
+
 @pytest.mark.parametrize(
     ("low", "high", "per_m2"),
     [

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from spl_batch.airborne.diagnostics.noise_layers import noise_by_layer
 from spl_batch.airborne.noise import haze
 from spl_batch.lattice.tiles import quanta
 
@@ -285,7 +286,7 @@ def test_haze_at_the_edge_of_a_swath_does_not_depend_on_how_far_other_points_rea
         counts = haze.count_cubes(axes, np.ones(len(chosen), np.bool_))
         air = haze.find_air(counts, model(0.05))
         noises.append(haze.noise_with_air(axes, np.full(len(chosen), 0.05), air)[:n])
-        seen = haze.noise_by_layer(counts, air, model(0.05), core)
+        seen = noise_by_layer(counts, air, model(0.05), core)
         layers.append((seen.layer.tolist(), seen.returns.tolist(), seen.expected.tolist()))
     np.testing.assert_array_equal(noises[0], noises[1])
     assert layers[0] == layers[1]
@@ -301,7 +302,7 @@ def test_layers_that_hold_noise_alone_tell_how_far_the_model_is_off():
     counts = haze.count_cubes(axes, np.ones(len(xyz), np.bool_))
     core = (CORNER[0], CORNER[1], CORNER[0] + 120_000, CORNER[1] + 120_000)
     air = haze.find_air(counts, model(0.05))
-    seen = haze.noise_by_layer(counts, air, model(0.05), core)
+    seen = noise_by_layer(counts, air, model(0.05), core)
     height = seen.layer * haze.CUBE_M - 40
     for low, high, times in ((-95, -10, 1.0), (85, 120, 1.8)):
         band = (height >= low) & (height < high)
@@ -329,8 +330,8 @@ def test_layers_that_the_end_of_a_gate_cuts_are_not_counted():
     def believed(at):
         return np.where(at[2] * 1e-3 - CORNER[2] * 1e-3 < 42, 0.05, 0.03)
 
-    whole = haze.noise_by_layer(counts, None, believed, core)
-    seen = haze.noise_by_layer(counts, None, believed, core, heard)
+    whole = noise_by_layer(counts, None, believed, core)
+    seen = noise_by_layer(counts, None, believed, core, heard)
     height = seen.layer * haze.CUBE_M - CORNER[2] * 1e-3
     assert whole.expected[height >= 95].sum() > 0.0
     for low, high in ((-105, -95), (35, 45), (85, 140)):
