@@ -14,7 +14,7 @@ from spl_batch.errors import WorkflowError
 from spl_batch.formats.units import Units, metres_in
 
 WKT_KEY: Final = ("LASF_Projection", 2112)
-NAMELESS: Final = ("", "unknown")
+NAMELESS: Final = ("", "unknown", "unnamed")
 """Names that GDAL gives to a vertical CRS of which keys have the unit only."""
 
 DEGREES_ACROSS: Final = 5.0

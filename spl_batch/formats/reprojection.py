@@ -1,8 +1,7 @@
 """Delivered clouds and rasters in another CRS, places by PROJ, heights too where it names them."""
 
 import math
-from collections.abc import Iterator, Sequence
-from itertools import product
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,7 +14,7 @@ from rasterio.transform import Affine
 from rasterio.windows import Window
 
 from spl_batch.constants import NODATA, QUANTUM_M
-from spl_batch.errors import InputError, WorkflowError
+from spl_batch.errors import WorkflowError
 from spl_batch.formats.crs import (
     WKT_KEY,
     compound,
@@ -34,16 +33,13 @@ from spl_batch.formats.las.frame import Frame, preamble, wkt_vlr, write_laz
 from spl_batch.formats.las.header import WKT_BIT, read_header
 from spl_batch.formats.las.records import EXTRA_BYTES_KEY, HEIGHT, added
 from spl_batch.formats.rasters.geotiff import write_cog
-from spl_batch.formats.rasters.parts import RasterPart, opened
+from spl_batch.formats.rasters.parts import BLOCK, centres, opened, read_part, windows
 from spl_batch.formats.units import Units
 
 KEY: Final = "outputs.crs"
 
 _CHUNK: Final = 500_000
 """Points that are converted at once [count]."""
-
-_BLOCK: Final = 1024
-"""Rows and columns of a raster that are made at once, of cells no coarser than before [cells]."""
 
 _EDGE_POINTS: Final = 21
 """Points along an edge of a raster by which its extent elsewhere is found [count]."""
@@ -76,7 +72,8 @@ class Reprojection:
         if wanted is not None and mine is None:
             raise WorkflowError(
                 f"{KEY}: {crs_name(wanted)} is named, and nothing says what the survey's heights "
-                "are above: name it in survey.vertical_crs"
+                "are above: name it in survey.vertical_crs; from the ellipsoid to a geoid leads "
+                "outputs.geoid"
             )
         self.crs = named if wanted is not None or mine is None else compound(named, mine)
         self._to, self._survey = Units.of(self.crs), survey
@@ -159,13 +156,8 @@ class Reprojection:
                 for start in range(0, header.n_points, _CHUNK):
                     given = reader.read(start, min(start + _CHUNK, header.n_points))
                     raw = np.column_stack([given[axis] for axis in "XYZ"])
-                    moved = self.places(raw * header.scales + header.offsets)
-                    steps = np.rint((moved - frame.offsets) / frame.scales)
-                    if not np.abs(steps).max() < 2**31:  # a NaN is none either
-                        raise InputError(str(src), f"points have no place in {crs_name(self.crs)}")
                     records = given.copy()
-                    for axis, values in zip("XYZ", steps.T, strict=True):
-                        records[axis] = values
+                    frame.place(records, self.places(raw * header.scales + header.offsets), src)
                     for field in above:
                         records[field] *= np.float32(self._ratio)
                     yield records
@@ -187,60 +179,47 @@ class Reprojection:
             As of :func:`~spl_batch.formats.rasters.geotiff.write_cog`; lengths in ``m``.
         """
         with opened(src) as source:
-            left, bottom, right, top = source.bounds
-            west, south, east, north = self._flat.transform_bounds(
-                left, bottom, right, top, densify_pts=_EDGE_POINTS
-            )
-            column, row = math.floor(west / cell), math.ceil(north / cell)
-            shape = row - math.floor(south / cell), math.ceil(east / cell) - column
-            place = Affine(cell, 0.0, column * cell, 0.0, -cell, row * cell)
-            blocks = self._blocks(source, place, shape, above_datum=above_datum, unit=unit)
-            write_cog(
-                dst,
-                blocks,
-                shape=shape,
-                place=place,
-                crs=self.crs.to_wkt(),
-                description=meaning,
-                unit=unit,
-            )
+            (left, bottom, right, top), units = source.bounds, Units.of(self._survey)
+            finer = source.transform.a * units.horizontal_m / (cell * self._to.horizontal_m)
+        west, south, east, north = self._flat.transform_bounds(
+            left, bottom, right, top, densify_pts=_EDGE_POINTS
+        )
+        column, row = math.floor(west / cell), math.ceil(north / cell)
+        shape = row - math.floor(south / cell), math.ceil(east / cell) - column
+        corner = column * cell, row * cell
 
-    def _blocks(
-        self, source: Any, place: Affine, shape: Sequence[int], *, above_datum: bool, unit: str
-    ) -> Iterator[tuple[int, int, NDArray[np.float32]]]:
-        """Pieces of the raster, lengths in metres."""
-        units, mine = Units.of(self._survey), source.transform
-        _, unit_m = units.of_values(unit)
-        finer = mine.a * units.horizontal_m / (place.a * self._to.horizontal_m)
-        block = max(1, int(_BLOCK * min(1.0, finer)))
-        for row, col in product(range(0, shape[0], block), range(0, shape[1], block)):
-            rows, cols = min(block, shape[0] - row), min(block, shape[1] - col)
-            at = np.meshgrid(col + np.arange(cols) + 0.5, row + np.arange(rows) + 0.5)
-            there = place.c + at[0] * place.a, place.f + at[1] * place.e
-            x, y = self._flat.transform(*there, direction=TransformDirection.INVERSE)
-            values = _sampled(source, x, y)
-            if above_datum and self._whole is not None:
-                known = np.isfinite(values)
-                xyz = np.column_stack([x[known], y[known], values[known]])
-                values[known] = self.places(xyz)[:, 2] * self._to.vertical_m
-            else:
-                values *= unit_m
-            yield row, col, np.where(np.isnan(values), NODATA, values).astype(np.float32)
+        def blocks() -> Iterator[tuple[int, int, NDArray[np.float32]]]:
+            """Lengths in metres."""
+            whole = Window(0, 0, shape[1], shape[0])
+            for window in windows(whole, max(1, int(BLOCK * min(1.0, finer)))):
+                x, y = (side.ravel() for side in centres(corner, cell, window))
+                places = self._flat.transform(x, y, direction=TransformDirection.INVERSE)
+                xy = np.column_stack(places)
+                values = _sampled(src, units.metres(xy))
+                if above_datum and self._whole is not None:
+                    known = np.isfinite(values)
+                    xyz = np.column_stack([xy[known], values[known] / units.vertical_m])
+                    values[known] = self.places(xyz)[:, 2] * self._to.vertical_m
+                kept = np.where(np.isnan(values), NODATA, values).astype(np.float32)
+                yield window.row_off, window.col_off, kept.reshape(window.height, window.width)
+
+        write_cog(
+            dst,
+            blocks(),
+            shape=shape,
+            place=Affine(cell, 0.0, corner[0], 0.0, -cell, corner[1]),
+            crs=self.crs.to_wkt(),
+            description=meaning,
+            unit=unit,
+        )
 
 
-def _sampled(source: Any, x: Places, y: Places) -> Places:
-    """Values of a raster at places of its CRS, (n, m) each; NaN where void."""
-    place, out = source.transform, np.full(x.shape, np.nan)
-    col, row = (x - place.c) / place.a, (y - place.f) / place.e
-    there = (col >= 0) & (col <= source.width) & (row >= 0) & (row <= source.height)
-    if not there.any():
-        return out
-    # A cell more on each side, as far as there is one.
-    left, top = (max(int(one[there].min()) - 1, 0) for one in (col, row))
-    right, bottom = (int(one[there].max()) + 2 for one in (col, row))
-    sides = min(right, source.width) - left, min(bottom, source.height) - top
-    cells = source.read(1, window=Window(left, top, *sides))
-    west, north = place * (left, top)
-    part = RasterPart(cells, west, north, place.a)
-    out[there] = part.sampled(np.column_stack([x[there], y[there]]))
+def _sampled(path: Path, xy_m: Places) -> Places:
+    """Values of a raster at places, (n,); NaN where it has none, or there is no such place."""
+    there, out = np.isfinite(xy_m).all(axis=1), np.full(len(xy_m), np.nan)
+    if there.any():
+        (west, south), (east, north) = (end(xy_m[there], axis=0) for end in (np.min, np.max))
+        part = read_part(path, (west, south, east, north))
+        if part is not None:
+            out[there] = part.sampled(xy_m[there])
     return out

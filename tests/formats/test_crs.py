@@ -149,6 +149,12 @@ def test_a_vertical_crs_of_geotiff_keys_keeps_its_name_in_their_unit(
         assert same_heights(heights, CRS.from_epsg(code))
 
 
+def test_keys_that_are_padded_are_read_as_far_as_they_are_counted() -> None:
+    keys = [1, 1, 0, 3, 1024, 0, 1, 1, 3072, 0, 1, 32615, 4099, 0, 1, 9003, *[0] * 8]
+    crs = crs_from_geotiff(np.array(keys, "<u2").tobytes(), b"", b"")
+    assert Units.of(crs) == Units(vertical=US_FOOT, vertical_m=1200 / 3937)
+
+
 @pytest.mark.parametrize(("unit", "name"), [(9001, "metre"), (9002, "foot"), (9003, US_FOOT)])
 def test_a_local_crs_of_geotiff_keys_has_their_unit(unit: int, name: str) -> None:
     assert Units.of(_keys((1024, 1), (3072, 32767), (3076, unit))).horizontal == name

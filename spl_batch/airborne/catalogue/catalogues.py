@@ -26,6 +26,8 @@ from spl_batch.airborne.catalogue.delivered_files import (
 from spl_batch.errors import plain
 from spl_batch.formats.crs import crs_name
 from spl_batch.formats.files.atomic import replacing, scratch_folder
+from spl_batch.formats.las.header import read_header
+from spl_batch.formats.las.known_records import header_crs
 from spl_batch.formats.units import Units
 
 REMEDY: Final = "; name it in survey.crs"
@@ -63,7 +65,8 @@ def write_catalogues(
     Parameters
     ----------
     args : mapping
-        ``clouds`` (``href``, ``span_s``), ``rasters``, ``flightlines`` (``id, points, first_s,
+        ``clouds`` (``href``, ``span_s``), ``rasters``, ``reprojected`` (clouds in another CRS),
+        ``flightlines`` (``id, points, first_s,
         last_s, files``) and ``checkpoints``, as the plan gives them.
     outlines : mapping of str to MultiPolygon
         Where flightlines lie, by their names [m]; others lie in the boxes of their files.
@@ -78,8 +81,11 @@ def write_catalogues(
         What could not be written, and why.
     """
     units = Units.of(crs)
-    clouds = [
-        read_cloud(output, one["href"], _span(one["span_s"]), units) for one in args["clouds"]
+    clouds = [read_cloud(output, one["href"], _span(one["span_s"]), crs) for one in args["clouds"]]
+    moved = [
+        read_cloud(output, href, _span(one["span_s"]), header_crs(read_header(output / href))[0])
+        for one in args["reprojected"]
+        for href in [one["href"]]
     ]
     rasters = [read_raster_file(output, href) for href in args["rasters"]]
     text = None if crs is None else crs.to_wkt()
@@ -89,7 +95,9 @@ def write_catalogues(
     if crs is not None and not reason:
         from spl_batch.airborne.catalogue.stac import write_stac  # noqa: PLC0415 - loads pystac
 
-        written += write_stac(output, Delivery(plain(name), crs, held, rasters, publisher))
+        elsewhere = [cloud for cloud in moved if cloud.points]
+        delivery = Delivery(plain(name), crs, held, rasters, publisher, elsewhere)
+        written += write_stac(output, delivery)
     remark = f"{reason}: no STAC and no virtual point cloud are written"
     return written, [f"{remark}{REMEDY if crs is None else ''}"] if reason else []
 

@@ -3,7 +3,7 @@
 import datetime as dt
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -13,10 +13,10 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
 from spl_batch.constants import ADJUSTED_STANDARD_OFFSET_S
-from spl_batch.formats.crs import horizontal, vertical
+from spl_batch.formats.crs import horizontal, same_crs, vertical
 from spl_batch.formats.gps_clock import leap_seconds
 from spl_batch.formats.rasters.parts import opened, place_m
-from spl_batch.formats.units import METRES, Units
+from spl_batch.formats.units import Units
 
 INDEX: Final = "index.gpkg"
 """Files, flightlines and checkpoints as layers, with counts; below the output."""
@@ -41,7 +41,7 @@ EDGE_POINTS: Final = 8
 
 
 Box = tuple[float, float, float, float]
-"""West, south, east, north, in the survey's CRS and its units."""
+"""West, south, east, north, in a CRS and its units."""
 
 
 class Span(NamedTuple):
@@ -76,13 +76,18 @@ class Cloud:
     """A delivered cloud."""
 
     href: str  #: Its path below the output.
-    #: West, south, lowest, east, north, highest, in the survey's CRS and its units.
+    #: West, south, lowest, east, north, highest, in its CRS and that's units.
     bounds: tuple[float, float, float, float, float, float]
     points: int
     span: Span
     #: Name, bytes and kind (``floating``, ``unsigned``, ``signed``) of each dimension.
     dimensions: tuple[tuple[str, int, str], ...]
-    units: Units = METRES  #: Of the survey's CRS.
+    crs: CRS | None  #: Of its coordinates.
+
+    @property
+    def units(self) -> Units:
+        """Of its CRS."""
+        return Units.of(self.crs)
 
     @property
     def box(self) -> Box:
@@ -98,8 +103,8 @@ class Cloud:
         return self.points / area_m2 if area_m2 else 0.0
 
 
-def read_cloud(output: Path, href: str, span: Span, units: Units = METRES) -> Cloud:
-    """A delivered cloud, from its header."""
+def read_cloud(output: Path, href: str, span: Span, crs: CRS | None) -> Cloud:
+    """A delivered cloud in a CRS, from its header."""
     with laspy.open(output / href) as reader:
         header = reader.header
         low, high = header.mins.tolist(), header.maxs.tolist()
@@ -108,7 +113,7 @@ def read_cloud(output: Path, href: str, span: Span, units: Units = METRES) -> Cl
     bounds = (*low, *high) if points else (0.0,) * 6
     west, south, lowest, east, north, highest = bounds
     ends = west, south, lowest, east, north, highest
-    return Cloud(href, ends, points, span, dimensions, units)
+    return Cloud(href, ends, points, span, dimensions, crs)
 
 
 def _dimension(one: Any) -> tuple[str, int, str]:
@@ -161,6 +166,7 @@ class Delivery:
     clouds: Sequence[Cloud]
     rasters: Sequence[RasterFile]
     publisher: Publisher = UNNAMED
+    reprojected: Sequence[Cloud] = ()  #: The same clouds in another CRS.
 
     @property
     def span(self) -> Span:
@@ -170,33 +176,32 @@ class Delivery:
             return UNKNOWN_SPAN
         return Span(min(one.first for one in known), max(one.last for one in known))
 
-    @cached_property
-    def _to_degrees(self) -> Transformer:
-        return _to_degrees(self.crs)
-
-    def box_deg(self, box: Box) -> Box:
-        """A box of the survey's CRS in longitudes and latitudes, of WGS 84 [deg]."""
-        west, south, east, north = self._to_degrees.transform_bounds(*box, densify_pts=EDGE_POINTS)
-        return west, south, east, north
-
-    def crs_of(self, raster: RasterFile) -> CRS:
-        """The CRS of all, but of a raster whose heights are above something else its own."""
-        if raster.crs is None:
+    def crs_of(self, made: Cloud | RasterFile) -> CRS:
+        """The CRS of all, but of what lies in another, or is above something else, its own."""
+        if made.crs is None:
             return self.crs
-        mine, ours = vertical(raster.crs), vertical(self.crs)
+        mine, ours = vertical(made.crs), vertical(self.crs)
         alike = mine is ours if mine is None or ours is None else mine.equals(ours)
-        return self.crs if alike else raster.crs
-
-    def outline_deg(self, box: Box) -> dict[str, Any]:
-        """Corners of a box in longitudes and latitudes, as GeoJSON."""
-        ring = shapely.get_coordinates(shapely.box(*box, ccw=True))
-        lon, lat = self._to_degrees.transform(*ring.T)
-        return {
-            "type": "Polygon",
-            "coordinates": [[[x, y] for x, y in zip(lon.tolist(), lat.tolist(), strict=True)]],
-        }
+        return self.crs if alike and same_crs(made.crs, self.crs) else made.crs
 
 
+def box_deg(box: Box, crs: CRS) -> Box:
+    """A box of a CRS in longitudes and latitudes, of WGS 84 [deg]."""
+    west, south, east, north = _to_degrees(crs).transform_bounds(*box, densify_pts=EDGE_POINTS)
+    return west, south, east, north
+
+
+def outline_deg(box: Box, crs: CRS) -> dict[str, Any]:
+    """Corners of a box of a CRS in longitudes and latitudes, as GeoJSON."""
+    ring = shapely.get_coordinates(shapely.box(*box, ccw=True))
+    lon, lat = _to_degrees(crs).transform(*ring.T)
+    return {
+        "type": "Polygon",
+        "coordinates": [[[x, y] for x, y in zip(lon.tolist(), lat.tolist(), strict=True)]],
+    }
+
+
+@lru_cache(maxsize=8)
 def _to_degrees(crs: CRS) -> Transformer:
     return Transformer.from_crs(horizontal(crs), 4326, always_xy=True)
 
@@ -211,7 +216,7 @@ def leads_to_degrees(crs: CRS) -> bool:
 
 
 def outline(box: Box) -> dict[str, Any]:
-    """Corners of a box, as GeoJSON in the survey's CRS."""
+    """Corners of a box, as GeoJSON in its CRS."""
     found: dict[str, Any] = shapely.geometry.mapping(shapely.box(*box, ccw=True))
     return {
         "type": found["type"],

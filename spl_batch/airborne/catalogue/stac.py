@@ -31,7 +31,9 @@ from spl_batch.airborne.catalogue.delivered_files import (
     Delivery,
     Publisher,
     RasterFile,
+    box_deg,
     outline,
+    outline_deg,
     plain_name,
 )
 from spl_batch.errors import plain
@@ -73,10 +75,9 @@ def _short_id(name: str, href: str) -> str:
 
 def write_stac(output: Path, delivery: Delivery) -> list[Path]:
     """Write ``stac/collection.json``, ``stac/items.json``, the items and ``survey.vpc``."""
-    hrefs = [cloud.href for cloud in delivery.clouds]
-    hrefs += [raster.href for raster in delivery.rasters]
-    ids = _item_ids(hrefs)
-    items = [_cloud_item(ids[one.href], one, delivery) for one in delivery.clouds]
+    clouds = [*delivery.clouds, *delivery.reprojected]
+    ids = _item_ids([one.href for one in clouds] + [one.href for one in delivery.rasters])
+    items = [_cloud_item(ids[one.href], one, delivery) for one in clouds]
     items += [_raster_item(ids[one.href], one, delivery) for one in delivery.rasters]
     boxes = [list(item.bbox or ()) for item in items]
     flat = [box if len(box) == 4 else [*box[:2], *box[3:5]] for box in boxes]
@@ -120,8 +121,8 @@ def write_stac(output: Path, delivery: Delivery) -> list[Path]:
         folder / "items.json": f'{{"type": "FeatureCollection", "features": [\n{features}\n]}}',
         **written,
     }
-    clouds = records[: len(delivery.clouds)]
-    virtual = [_virtual(*one, delivery.crs) for one in zip(delivery.clouds, clouds, strict=True)]
+    # One layer shows each point once: clouds in another CRS are left out.
+    virtual = [_virtual(*one, delivery.crs) for one in zip(delivery.clouds, records, strict=False)]
     texts[output / VIRTUAL] = _text({"type": "FeatureCollection", "features": virtual})
     for path, text in texts.items():
         # Thousands of items, and a receipt that knows their sizes: a disk's time for each is saved.
@@ -176,12 +177,13 @@ def _slug(name: str) -> str:
 
 
 def _cloud_item(name: str, cloud: Cloud, delivery: Delivery) -> pystac.Item:
-    west, south, east, north = delivery.box_deg(cloud.box)
+    crs = delivery.crs_of(cloud)
+    west, south, east, north = box_deg(cloud.box, crs)
     ends = cloud.bounds[2], cloud.bounds[5]
     low_m, high_m = (end * cloud.units.vertical_m for end in ends)
     item = pystac.Item(
         id=name,
-        geometry=delivery.outline_deg(cloud.box),
+        geometry=outline_deg(cloud.box, crs),
         bbox=[west, south, low_m, east, north, high_m],
         datetime=None,
         properties={},
@@ -190,7 +192,7 @@ def _cloud_item(name: str, cloud: Cloud, delivery: Delivery) -> pystac.Item:
     )
     kind = COPC_TYPE if cloud.href.endswith(".copc.laz") else LAZ_TYPE
     item.add_asset("data", pystac.Asset(f"../{cloud.href}", media_type=kind, roles=["data"]))
-    _project(item, delivery.crs, cloud.box, ends)
+    _project(item, crs, cloud.box, ends)
     PointcloudExtension.ext(item, add_if_missing=True).apply(
         count=cloud.points,
         type=PhenomenologyType.LIDAR,
@@ -207,10 +209,11 @@ def _cloud_item(name: str, cloud: Cloud, delivery: Delivery) -> pystac.Item:
 
 
 def _raster_item(name: str, raster: RasterFile, delivery: Delivery) -> pystac.Item:
+    crs = delivery.crs_of(raster)
     item = pystac.Item(
         id=name,
-        geometry=delivery.outline_deg(raster.box),
-        bbox=list(delivery.box_deg(raster.box)),
+        geometry=outline_deg(raster.box, crs),
+        bbox=list(box_deg(raster.box, crs)),
         datetime=None,
         properties={"title": raster.meaning, "gsd": raster.cell_m},
         start_datetime=delivery.span.first,
@@ -222,7 +225,7 @@ def _raster_item(name: str, raster: RasterFile, delivery: Delivery) -> pystac.It
     if raster.unit:
         asset.extra_fields["unit"] = raster.unit
     item.add_asset("data", asset)
-    _project(item, delivery.crs_of(raster), raster.box)
+    _project(item, crs, raster.box)
     west, _, _, north = raster.box
     found = ProjectionExtension.ext(item)
     found.shape = list(raster.shape)

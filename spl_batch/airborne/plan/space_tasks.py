@@ -309,11 +309,16 @@ def catalogue(survey: Survey) -> Iterator[Task]:
         return
     twins = survey.of("deliver_copc")
     rasters, of_rasters = delivered_rasters(survey)
-    clouds = {key: _cloud(survey, key, key in twins) for key in sorted(delivered)}
+    clouds = {key: _cloud(survey, key, as_copc=key in twins) for key in sorted(delivered)}
+    moved = {key: r.outputs for key, r in sorted(survey.of("reproject_file").items())}
+    elsewhere = survey.of("reproject_raster")
     checkpoints = survey.of("checkpoints")
     args = {
         "clouds": list(clouds.values()),
-        "rasters": rasters,
+        "rasters": [*rasters, *(name for _, r in sorted(elsewhere.items()) for name in r.outputs)],
+        "reprojected": [
+            {**clouds[key], "href": one} for key, made in moved.items() for one in made
+        ],
         "flightlines": list(_flightlines(survey, clouds)),
         "checkpoints": [one for r in checkpoints.values() for one in r.facts["checkpoints"]],
         "cells": sorted(survey.of("surface")),
@@ -322,6 +327,8 @@ def catalogue(survey: Survey) -> Iterator[Task]:
         *(("deliver_file", key) for key in clouds),
         *(("deliver_copc", key) for key in sorted(twins)),
         *of_rasters,
+        *(("reproject_file", key) for key in moved),
+        *(("reproject_raster", name) for name in sorted(elsewhere)),
         *(("checkpoints", name) for name in sorted(checkpoints)),
         *(("surface", name) for name in sorted(survey.of("surface"))),
     )
@@ -336,7 +343,7 @@ def delivered_rasters(survey: Survey) -> tuple[list[str], list[Need]]:
     return names, [(kind, name) for kind, name, _ in made]
 
 
-def _cloud(survey: Survey, key: str, as_copc: bool) -> dict[str, Any]:  # noqa: FBT001 - one caller
+def _cloud(survey: Survey, key: str, *, as_copc: bool) -> dict[str, Any]:
     name = survey.of("deliver_file")[key].facts["name"]
     facts = survey.of("index_file")[key].facts
     spans = [span for mine in facts["spans"].values() for span in mine]

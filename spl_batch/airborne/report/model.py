@@ -75,9 +75,14 @@ class DeliveredUnits(Part):
     vertical: str = Field("metre", description="Of heights.")
     vertical_m: Number = Field(1.0, description="Metres in one of these.")
 
+    @property
+    def known(self) -> Units:
+        """The same, to be converted by."""
+        return Units(**self.model_dump())
+
     def height(self, metres: float | None) -> str:
         """A small height as screen and page show it."""
-        return height(metres, Units(**self.model_dump()).of_heights)
+        return height(metres, self.known.of_heights)
 
 
 class Survey(Part):

@@ -16,7 +16,12 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.products.product_table import NAMES
 from spl_batch.airborne.report.model import Report
-from spl_batch.airborne.report.plots import Profile, draw_histogram, draw_profile
+from spl_batch.airborne.report.plots import (
+    Profile,
+    difference_title,
+    draw_histogram,
+    draw_profile,
+)
 from spl_batch.airborne.report.verdicts import photon_counting, terrain_statistics
 from spl_batch.engine.report import style
 from spl_batch.engine.report.maps import (
@@ -27,9 +32,9 @@ from spl_batch.engine.report.maps import (
     reduce_raster,
     spread,
 )
-from spl_batch.engine.report.number_format import centimetres
 from spl_batch.engine.report.parts import Statistics
 from spl_batch.engine.report.picture import Picture
+from spl_batch.formats.units import Units
 
 PICTURES: Final = (
     "dtm", "dsm", "chm", "difference", "histogram", "profile", "noise_density", "dtm_quality",
@@ -39,6 +44,9 @@ PICTURES: Final = (
 
 OF_PRODUCTS: Final = tuple(name for name in PICTURES if name in NAMES)
 """Pictures of delivered rasters: a picture has the name of its raster."""
+
+IN_UNIT: Final = ("dtm", "dsm", "chm", "dtm_quality")
+"""Of these, maps in the unit of heights that is delivered; differences are in centimetres."""
 
 NO_REFERENCE: Final = "Without reference points there is nothing to compare with."
 NO_RASTER: Final = "The raster holds no value."
@@ -57,7 +65,8 @@ def make_pictures(
     rasters : mapping of str to Raster
         By the names of their pictures, those that there are; ``difference`` is DTM minus reference,
         ``strips`` the height between flightlines that overlap, whichever lies above [m]. Larger
-        than a picture they may be given reduced, as an overview.
+        than a picture they may be given reduced, as an overview. Pictures are in the units of
+        delivery.
     profile : Profile, optional
         A vertical strip, about 100 m long and 2-3 m wide; maps show where it lies.
     differences_m : (n,) ndarray, optional
@@ -68,7 +77,8 @@ def make_pictures(
     dict of str to Picture
         All :data:`PICTURES`.
     """
-    photons, shown = photon_counting(report), dict(rasters)
+    photons, units = photon_counting(report), report.survey.units.known
+    shown = {name: _in_units(name, raster, units) for name, raster in rasters.items()}
     if profile is not None and profile.line_m is not None:
         for name in {"dtm", "dsm", "chm"} & shown.keys():
             shown[name] = replace(shown[name], line_m=profile.line_m)
@@ -78,13 +88,21 @@ def make_pictures(
         overall = terrain[1]
     amounts = AMOUNTS if photons else {**AMOUNTS, "density": POINT_DENSITY}
     made = {
-        **{name: _relief(shown, name, photons=photons) for name in RELIEF_TEXT},
-        **{name: _amount(shown.get(name), amount) for name, amount in amounts.items()},
-        "difference": _difference(shown.get("difference"), overall),
-        "histogram": _histogram(differences_m, overall),
+        **{name: _relief(shown, name, units, photons=photons) for name in RELIEF_TEXT},
+        **{name: _amount(shown.get(name), amount, units) for name, amount in amounts.items()},
+        "difference": _difference(shown.get("difference"), overall, units),
+        "histogram": _histogram(differences_m, overall, units),
         "profile": _profile(profile, photons=photons),
     }
     return {name: made[name] for name in PICTURES}
+
+
+def _in_units(name: str, raster: Raster, units: Units) -> Raster:
+    """A raster as it is shown: its place in the units of the CRS, heights too."""
+    placed = replace(raster, axis_m=units.horizontal_m)
+    if units.vertical_m == 1.0 or name not in IN_UNIT:
+        return placed
+    return replace(placed, values=raster.masked() / units.vertical_m)
 
 
 def _finished(drawn: Figure, title: str, caption: str) -> Picture:
@@ -123,8 +141,8 @@ RELIEF_TEXT: Final[Mapping[str, tuple[str, str]]] = {
 }
 
 
-def _relief(rasters: Mapping[str, Raster], key: str, *, photons: bool) -> Picture:
-    title, caption = RELIEF_TEXT[key]
+def _relief(rasters: Mapping[str, Raster], key: str, units: Units, *, photons: bool) -> Picture:
+    (title, caption), legend = RELIEF_TEXT[key], f"height [{units.of_heights[0]}]"
     limits, raster = _heights(rasters, key), rasters.get(key)
     shared = limits == _heights(rasters, "dtm" if key == "dsm" else "dsm")
     caption = caption.format(
@@ -138,7 +156,7 @@ def _relief(rasters: Mapping[str, Raster], key: str, *, photons: bool) -> Pictur
         raster,
         title,
         "This raster was not made.",
-        lambda raster: _finished(draw_relief(raster, title, "height [m]", limits), title, caption),
+        lambda raster: _finished(draw_relief(raster, title, legend, limits), title, caption),
     )
 
 
@@ -164,7 +182,7 @@ class Amount(NamedTuple):
     """A map of something that begins at zero."""
 
     title: str
-    legend: str  #: What it shows, with its unit.
+    legend: str  #: What it shows, with its unit; ``{}`` is that of heights.
     caption: str
     ramp: Colormap
     percent: float = 98.0  #: Share of the cells that the colours resolve, from below [%].
@@ -175,7 +193,7 @@ class Amount(NamedTuple):
 
 CANOPY: Final = Amount(
     "Heights above ground (CHM)",
-    "height above ground [m]",
+    "height above ground [{}]",
     "Surface minus terrain. Open ground is near zero; roofs are even, trees are rough.",
     style.CANOPY,
     percent=99.5,
@@ -192,7 +210,7 @@ NOISE: Final = Amount(
 )
 QUALITY: Final = Amount(
     "How well the terrain is known",
-    "standard deviation of the terrain [m]",
+    "standard deviation of the terrain [{}]",
     "By how far the nearest ground is, and by how much heights differ here over such a distance. "
     "What was wrongly taken for ground does not show.",
     style.SKY,
@@ -230,26 +248,26 @@ AMOUNTS: Final[Mapping[str, Amount]] = {
 """Maps of amounts, by the names of their pictures."""
 
 
-def _amount(raster: Raster | None, of: Amount) -> Picture:
+def _amount(raster: Raster | None, of: Amount, units: Units) -> Picture:
     def draw(given: Raster) -> Picture:
-        shown = given if of.scale == 1.0 else Raster(of.scale * given.masked(), given.extent_m)
+        shown = given if of.scale == 1.0 else replace(given, values=of.scale * given.masked())
         top = max(spread(reduce_raster(shown).values, 1, of.percent)[1], of.least)
-        drawn = draw_ramp(shown, of.title, of.legend, ramp=of.ramp, limits=(0.0, top))
+        legend = of.legend.format(units.of_heights[0])
+        drawn = draw_ramp(shown, of.title, legend, ramp=of.ramp, limits=(0.0, top))
         return _finished(drawn, of.title, of.caption)
 
     return _or_missing(raster, of.title, of.missing, draw)
 
 
-def _difference(raster: Raster | None, statistics: Statistics | None) -> Picture:
+def _difference(raster: Raster | None, statistics: Statistics | None, units: Units) -> Picture:
     title = "Terrain minus reference"
 
     def draw(given: Raster) -> Picture:
         size = spread(100 * abs(reduce_raster(given).values), 0, 95)[1]
         reach = max(nice(size * 1.6), 2.0)
-        heading = title
-        if statistics is not None and statistics.rmse is not None:
-            heading = f"{title}, all surfaces: RMSE {centimetres(statistics.rmse)}"
-        scaled = Raster(100 * given.masked(), given.extent_m)
+        of_all = "" if statistics is None or statistics.rmse is None else ", all surfaces"
+        heading = difference_title(f"{title}{of_all}", statistics, units)
+        scaled = replace(given, values=100 * given.masked())
         limits = (-reach, reach)
         unit = "DTM minus reference [cm]"
         drawn = draw_ramp(
@@ -266,14 +284,14 @@ def _difference(raster: Raster | None, statistics: Statistics | None) -> Picture
     return _or_missing(raster, title, NO_REFERENCE, draw)
 
 
-def _histogram(values: NDArray[Any] | None, statistics: Statistics | None) -> Picture:
+def _histogram(values: NDArray[Any] | None, statistics: Statistics | None, units: Units) -> Picture:
     title = "Distribution of the differences"
     if values is None:
         return Picture(title, NO_REFERENCE)
     if not np.isfinite(values).any():
         return Picture(title, "No difference could be formed.")
     return _finished(
-        draw_histogram(values, statistics),
+        draw_histogram(values, statistics, units),
         title,
         "A narrow peak at zero is what one wants. NMAD describes the peak and RMSE the whole: "
         "where RMSE is much larger, a few gross errors make it so.",

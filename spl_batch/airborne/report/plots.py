@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from spl_batch.constants import CLASS_GROUND, NOISE_AFTERPULSE, NOISE_BACKGROUND
 from spl_batch.engine.report import style
-from spl_batch.engine.report.number_format import centimetres
+from spl_batch.engine.report.number_format import centimetres, height
 from spl_batch.engine.report.parts import Statistics
+from spl_batch.formats.units import METRES, Units
 
 MOST_POINTS: Final = 250_000
 """A profile with more points is thinned evenly: the picture has no pixels for them."""
@@ -34,6 +35,25 @@ class Profile:
     width_m: float  #: Width of the strip [m].
     #: Easting and northing of its two ends, for maps [m].
     line_m: tuple[float, float, float, float] | None = None
+    units: Units = METRES  #: In which a plot shows it.
+
+    @property
+    def along(self) -> NDArray[Any]:
+        """Distance along the strip, as it is shown: (n,)."""
+        return self.along_m / self.units.horizontal_m
+
+    @property
+    def z(self) -> NDArray[Any]:
+        """Height, as it is shown: (n,)."""
+        return self.z_m / self.units.vertical_m
+
+    @property
+    def labels(self) -> tuple[str, str]:
+        """Names of both axes."""
+        flat, flat_m = self.units.of_places
+        height, _ = self.units.of_heights
+        width = f"strip {self.width_m / flat_m:.3g} {flat} wide"
+        return f"distance [{flat}]; {width}", f"height [{height}]"
 
     @property
     def members(self) -> tuple[NDArray[np.bool_], ...]:
@@ -60,15 +80,20 @@ class Profile:
         order = np.lexsort(tuple(reversed(columns)))
         step = -(-order.size // MOST_POINTS)
         along, z, noise, classes = (np.asarray(c)[order[::step]] for c in columns)
-        return Profile(along, z, noise, classes, self.width_m)
+        return Profile(along, z, noise, classes, self.width_m, units=self.units)
 
     def size(self, least: float, most: float) -> float:
         """Area of a point of a picture [points2]."""
         return float(np.clip(9e4 / max(self.along_m.size, 1), least, most))
 
 
-def draw_histogram(differences_m: NDArray[Any], statistics: Statistics | None) -> Figure:
-    """Histogram of differences [m], at least one, with mean, RMSE and NMAD of the whole set."""
+def draw_histogram(
+    differences_m: NDArray[Any], statistics: Statistics | None, units: Units = METRES
+) -> Figure:
+    """Histogram of differences [m], at least one, with mean, RMSE and NMAD of the whole set.
+
+    ``units``: of delivery, in which the heading has the RMSE too.
+    """
     values = np.asarray(differences_m, dtype=np.float64)
     values = values[np.isfinite(values)] * 100.0
     low, high = (float(p) for p in np.percentile(values, [0.5, 99.5]))
@@ -90,15 +115,16 @@ def draw_histogram(differences_m: NDArray[Any], statistics: Statistics | None) -
         note = f"; {100 * outside:.2g} % lie outside the axis" if outside > 0 else ""
         axes.set_xlabel(f"DTM minus reference [cm]{note}")
         axes.set_ylabel("share of comparisons [%]")
-        axes.set_title(_difference_title("All surfaces", statistics))
+        axes.set_title(difference_title("All surfaces", statistics, units))
         axes.spines[["top", "right"]].set_visible(False)
     return drawn
 
 
-def _difference_title(opening: str, statistics: Statistics | None) -> str:
+def difference_title(opening: str, statistics: Statistics | None, units: Units) -> str:
+    """Heading of a picture of differences, with their RMSE where it is known."""
     if statistics is None or statistics.rmse is None:
         return opening
-    return f"{opening}: RMSE {centimetres(statistics.rmse)}"
+    return f"{opening}: RMSE {height(statistics.rmse, units.of_heights)}"
 
 
 def _statistic_lines(axes: Axes, statistics: Statistics) -> None:
@@ -150,9 +176,10 @@ def draw_profile(profile: Profile) -> Figure:
             handletextpad=0.2,
             columnspacing=1.4,
         )
+        distance, height = profile.labels
         for axes in (top, bottom):
-            axes.set_ylabel("height [m]")
-        bottom.set_xlabel(f"distance along the profile [m]; strip {profile.width_m:g} m wide")
+            axes.set_ylabel(height)
+        bottom.set_xlabel(distance)
         _set_limits(bottom, shown)
     return drawn
 
@@ -173,17 +200,18 @@ def draw_methods(profiles: Mapping[str, Profile]) -> Figure:
             axes.set_title(name)
         for axes in panels[len(profiles) + 1 :]:
             axes.set_axis_off()
+        distance, height = first.labels
         for axes in grid[:, 0]:
-            axes.set_ylabel("height [m]")
+            axes.set_ylabel(height)
         for axes in grid[-1]:
-            axes.set_xlabel(f"distance [m]; strip {first.width_m:g} m wide")
+            axes.set_xlabel(distance)
         _set_limits(grid[0, 0], first)
     return drawn
 
 
 def _draw_recorded(axes: Axes, profile: Profile, size: float) -> None:
     """Everything that was recorded."""
-    axes.scatter(profile.along_m, profile.z_m, s=size, c=style.RAW, alpha=0.55, linewidths=0)
+    axes.scatter(profile.along, profile.z, s=size, c=style.RAW, alpha=0.55, linewidths=0)
     axes.set_title("As recorded")
     _frame(axes)
 
@@ -193,7 +221,7 @@ def _draw_classified(
 ) -> None:
     """What points were taken for."""
     for member, colour, alpha in zip(profile.members, COLOURS, alphas, strict=True):
-        along, z = profile.along_m[member], profile.z_m[member]
+        along, z = profile.along[member], profile.z[member]
         axes.scatter(along, z, s=size, c=colour, alpha=alpha, linewidths=0)
     _frame(axes)
 
@@ -205,6 +233,6 @@ def _frame(axes: Axes) -> None:
 
 
 def _set_limits(axes: Axes, profile: Profile) -> None:
-    along = profile.along_m
-    axes.set_ylim(*profile.heights())
+    along = profile.along
+    axes.set_ylim(*(height / profile.units.vertical_m for height in profile.heights()))
     axes.set_xlim(float(along.min()), max(float(along.max()), float(along.min()) + 1.0))

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Mapping
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,13 +26,10 @@ from spl_batch.formats.files.atomic import replacing, scratch_folder
 from spl_batch.formats.las.copc import copy_as_copc
 from spl_batch.formats.las.cut import Piece, write_cut
 from spl_batch.formats.named_areas import lies_in
+from spl_batch.formats.rasters import parts
 from spl_batch.formats.rasters.geotiff import write_cog
-from spl_batch.formats.rasters.parts import opened, place_m
 from spl_batch.formats.reprojection import KEY, Reprojection
 from spl_batch.formats.verified.parquet_npz import read_arrays
-
-BLOCK: Final = 1024
-"""Rows and columns of a raster that are read at once [cells]."""
 
 EVEN: Final = 1e-6
 """An edge of an area this near to one of a cell lies on it [cells]."""
@@ -103,32 +101,36 @@ def _ranges(source: str, area: shapely.Geometry, context: Context) -> list[tuple
 
 def _cut_raster(source: Path, target: Path, area: shapely.Geometry) -> bool:
     """Cells of a raster whose centres lie in an area; whether there are any."""
-    with opened(source) as model:
-        (left_m, top_m, cell_m), (rows, columns) = place_m(model), model.shape
+    with parts.opened(source) as model:
+        (left_m, top_m, cell_m), (rows, columns) = parts.place_m(model), model.shape
         west, south, east, north = shapely.bounds(area).tolist()
         first_col = max(math.floor((west - left_m) / cell_m + EVEN), 0)
         last_col = min(math.ceil((east - left_m) / cell_m - EVEN), columns)
         first_row = max(math.floor((top_m - north) / cell_m + EVEN), 0)
         last_row = min(math.ceil((top_m - south) / cell_m - EVEN), rows)
 
-        def blocks() -> Iterator[tuple[int, int, NDArray[Any]]]:
-            for row in range(first_row, last_row, BLOCK):
-                for col in range(first_col, last_col, BLOCK):
-                    size = min(BLOCK, last_col - col), min(BLOCK, last_row - row)
-                    values = model.read(1, window=Window(col, row, *size))
-                    x = left_m + (col + np.arange(size[0]) + 0.5) * cell_m
-                    y = top_m - (row + np.arange(size[1]) + 0.5) * cell_m
-                    x, y = np.meshgrid(x * QUANTA_PER_M, y * QUANTA_PER_M)
-                    inside = lies_in(area, x.ravel(), y.ravel()).reshape(values.shape)
-                    kept = np.where(inside, values, np.float32(NODATA))
-                    yield row - first_row, col - first_col, kept
+        if first_col >= last_col or first_row >= last_row:
+            return False
+        whole = Window(first_col, first_row, last_col - first_col, last_row - first_row)
 
-        if not any((values != NODATA).any() for *_, values in blocks()):
+        def blocks() -> Iterator[tuple[int, int, NDArray[Any]]]:
+            """Those that hold anything."""
+            for window in parts.windows(whole, parts.BLOCK):
+                values = model.read(1, window=window)
+                x, y = parts.centres((left_m, top_m), cell_m, window)
+                inside = lies_in(area, x.ravel() * QUANTA_PER_M, y.ravel() * QUANTA_PER_M)
+                kept = np.where(inside.reshape(values.shape), values, np.float32(NODATA))
+                if (kept != NODATA).any():
+                    yield window.row_off - first_row, window.col_off - first_col, kept
+
+        some = blocks()
+        first = next(some, None)
+        if first is None:
             return False
         write_cog(
             target,
-            blocks(),
-            shape=(last_row - first_row, last_col - first_col),
+            chain([first], some),
+            shape=(whole.height, whole.width),
             place=model.transform * Affine.translation(first_col, first_row),
             crs=model.crs.to_wkt() if model.crs else None,
             description=model.descriptions[0] or source.name,
@@ -142,26 +144,21 @@ def deliver_contours(args: Mapping[str, Any], context: Context) -> Produced:
     from contourpy import contour_generator  # noqa: PLC0415 - few ask for contours
 
     interval = args["interval"]
-    parts: dict[int, list[shapely.Geometry]] = {}
-    with opened(context.output / "dtm.tif") as model:
-        place, (rows, columns), crs = model.transform, model.shape, model.crs
+    pieces: dict[int, list[shapely.Geometry]] = {}
+    with parts.opened(context.output / "dtm.tif") as model:
+        place, whole, crs = model.transform, Window(0, 0, model.width, model.height), model.crs
         # Blocks share the cells along their edges: their lines end at the same places.
-        for row in range(0, max(rows - 1, 1), BLOCK):
-            for col in range(0, max(columns - 1, 1), BLOCK):
-                size = min(BLOCK + 1, columns - col), min(BLOCK + 1, rows - row)
-                values = model.read(1, window=Window(col, row, *size), masked=True)
-                if min(values.shape) < 2 or not values.count():
-                    continue
-                lines = contour_generator(
-                    place.c + (col + np.arange(size[0]) + 0.5) * place.a,
-                    place.f + (row + np.arange(size[1]) + 0.5) * place.e,
-                    values.astype(np.float64),
-                )
-                low, high = float(values.min()) / interval, float(values.max()) / interval
-                for k in range(int(np.ceil(low)), int(np.floor(high)) + 1):
-                    found = lines.lines(k * interval)
-                    parts.setdefault(k, []).extend(map(shapely.linestrings, found))
-    joined = {k: shapely.line_merge(shapely.multilinestrings(parts[k])) for k in sorted(parts)}
+        for window in parts.windows(whole, parts.BLOCK, beyond=1):
+            values = model.read(1, window=window, masked=True)
+            if min(values.shape) < 2 or not values.count():
+                continue
+            x, y = parts.centres((place.c, place.f), place.a, window)
+            lines = contour_generator(x, y, values.astype(np.float64))
+            low, high = float(values.min()) / interval, float(values.max()) / interval
+            for k in range(int(np.ceil(low)), int(np.floor(high)) + 1):
+                found = lines.lines(k * interval)
+                pieces.setdefault(k, []).extend(map(shapely.linestrings, found))
+    joined = {k: shapely.line_merge(shapely.multilinestrings(pieces[k])) for k in sorted(pieces)}
     single = [(k * interval, one) for k in joined for one in shapely.get_parts(joined[k])]
     if not single:
         return Produced((), {"name": CONTOURS, "lines": 0})

@@ -4,9 +4,8 @@ import shutil
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from itertools import product
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,16 +48,13 @@ from spl_batch.formats.las.writer import (
     write_points,
 )
 from spl_batch.formats.rasters.geotiff import write_cog
-from spl_batch.formats.rasters.parts import opened, place_m
+from spl_batch.formats.rasters.parts import BLOCK, centres, opened, place_m, windows
 from spl_batch.formats.verified.parquet_npz import read_arrays, read_columns
 from spl_batch.lattice.tables import COLUMNS, PointTable
 from spl_batch.lattice.tiles import Bounds, cells_of_runs, parse_cell, quanta
 
 PASS_POINTS = 32_000_000
 """Points of a file whose labels are held in memory at once [count]."""
-
-BLOCK: Final = 1024
-"""Rows and columns of a raster that are read at once [cells]."""
 
 _DELIVERED = ("noise_class", "classification")
 _DIAGNOSTICS = ("noise_density", "p_value")
@@ -327,19 +323,15 @@ def deliver_geoid(args: Mapping[str, Any], context: Context) -> Produced:
 
     def blocks() -> Iterator[tuple[int, int, NDArray[np.float32]]]:
         nonlocal beyond
-        rows, columns = model.shape
-        for row, col in product(range(0, rows, BLOCK), range(0, columns, BLOCK)):
-            size = min(BLOCK, columns - col), min(BLOCK, rows - row)
-            heights = model.read(1, window=Window(col, row, *size))
-            east = left_m + (col + np.arange(heights.shape[1]) + 0.5) * cell_m
-            north = top_m - (row + np.arange(heights.shape[0]) + 0.5) * cell_m
-            x, y = (side.ravel() for side in np.meshgrid(east, north))
+        for window in windows(Window(0, 0, model.width, model.height), BLOCK):
+            heights = model.read(1, window=window)
+            x, y = centres((left_m, top_m), cell_m, window)
             height_m = heights * context.units.vertical_m
-            above = height_m - geoid.heights(x, y).reshape(heights.shape)
+            above = height_m - geoid.heights(x.ravel(), y.ravel()).reshape(heights.shape)
             known = heights != np.float32(NODATA)
             beyond += int(np.count_nonzero(known & np.isnan(above)))
             kept = np.where(known & ~np.isnan(above), above, NODATA)
-            yield row, col, kept.astype(np.float32)
+            yield window.row_off, window.col_off, kept.astype(np.float32)
 
     with opened(source) as model:
         left_m, top_m, cell_m = place_m(model)

@@ -5,7 +5,7 @@ cells without a value take no part.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -39,6 +39,7 @@ class Raster:
     extent_m: Extent  #: West, east, south, north edges [m].
     #: Easting and northing of both ends of a line that a map shows, the profile's [m].
     line_m: tuple[float, float, float, float] | None = None
+    axis_m: float = 1.0  #: Metres in one of the unit that the axes of a map are in.
 
     @property
     def any_value(self) -> bool:
@@ -68,7 +69,7 @@ def reduce_raster(raster: Raster, largest: int = LARGEST_PX) -> Raster:
     rows, columns = raster.values.shape
     step = -(-int(max(rows, columns)) // largest)
     if step <= 1:
-        return Raster(raster.masked(), raster.extent_m, raster.line_m)
+        return replace(raster, values=raster.masked())
     down, across = -(-rows // step), -(-columns // step)
     means = np.full((down, across), np.nan)
     for row in range(down):  # row by row: a survey's raster need not be copied whole
@@ -83,7 +84,7 @@ def reduce_raster(raster: Raster, largest: int = LARGEST_PX) -> Raster:
     west, east, south, north = raster.extent_m
     wide, high = (east - west) / columns * step, (north - south) / rows * step
     extent = (west, west + wide * across, north - high * down, north)
-    return Raster(means, extent, raster.line_m)
+    return replace(raster, values=means, extent_m=extent)
 
 
 def draw_relief(
@@ -94,7 +95,7 @@ def draw_relief(
     Parameters
     ----------
     raster : Raster
-        Heights [m].
+        Heights, in any unit.
     title, unit : str
         Heading, and label of the colour bar.
     limits : tuple of float, optional
@@ -154,15 +155,15 @@ def _map(
     extend: str,
 ) -> Figure:
     """A map with its colour bar, beside it or, where it is flat, below it."""
-    west, east, south, north = raster.extent_m
+    west, east, south, north = extent = tuple(side / raster.axis_m for side in raster.extent_m)
     shape = (north - south) / (east - west)
     height = min(max(WIDTH_IN * shape * 0.75 + 0.6, LOWEST_IN), TALLEST_IN)
     with style.type_context():
         drawn = style.figure(WIDTH_IN, height)
         axes: Any = drawn.add_subplot(title=title, facecolor=style.VOID)
-        axes.imshow(colour, extent=raster.extent_m, interpolation="nearest")
+        axes.imshow(colour, extent=extent, interpolation="nearest")
         if raster.line_m is not None:
-            x0, y0, x1, y1 = raster.line_m
+            x0, y0, x1, y1 = (end / raster.axis_m for end in raster.line_m)
             axes.plot([x0, x1], [y0, y1], color=style.AFTERPULSE, linewidth=1.4, label="profile")
         axes.set(xlim=(west, east), ylim=(south, north))
         for axis in (axes.xaxis, axes.yaxis):

@@ -34,8 +34,6 @@ Within = Callable[[NDArray[np.int64], NDArray[np.int64]], NDArray[np.bool_]]
 _BOUNDS_BITS: Final = 0b110
 """Options of an extra dimension: its least and largest value are given [LAS 1.4 R15, table 24]."""
 
-_INT32: Final = np.iinfo(np.int32)
-
 
 class Piece(NamedTuple):
     """A cloud of point format 6, 7 or 8, and its records that may lie in the area."""
@@ -133,16 +131,7 @@ def _converted(
     fields = {one.name: one.field for one in frame.layout.extra}
     for one in layout.extra:
         out[fields[one.name]] = given[one.field]
-    for axis, name in enumerate("XYZ"):
-        scale, offset = header.scales[axis], header.offsets[axis]
-        new_scale, new_offset = frame.scales[axis], frame.offsets[axis]
-        if (scale, offset) != (new_scale, new_offset):
-            raw = np.rint((given[name] * scale + (offset - new_offset)) / new_scale)
-            if len(raw) and not _INT32.min <= raw.min() <= raw.max() <= _INT32.max:
-                raise InputError(
-                    str(header.path),
-                    f"lies too far from the offset of the tile's first file, {new_offset:g}, for "
-                    f"its scale, {new_scale:g}: give the files one offset",
-                )
-            out[name] = raw
+    if (header.scales, header.offsets) != (frame.scales, frame.offsets):
+        raw = np.column_stack([given[axis] for axis in "XYZ"])
+        frame.place(out, raw * header.scales + header.offsets, header.path)
     return out

@@ -22,7 +22,7 @@ from pyproj.enums import WktVersion
 from pyproj.exceptions import CRSError
 
 from spl_batch import __version__
-from spl_batch.errors import as_input_fault
+from spl_batch.errors import InputError, as_input_fault
 from spl_batch.formats.crs import WKT_KEY
 from spl_batch.formats.files.atomic import replacing
 from spl_batch.formats.gps_clock import TimeStandard
@@ -75,6 +75,24 @@ class Frame:
     vlrs: Sequence[Vlr]
     #: Extended records, each with the file that it is copied from.
     evlrs: Sequence[tuple[Evlr, Path]] = ()
+
+    def place(self, records: NDArray[Any], xyz: NDArray[np.float64], path: Path) -> None:
+        """Put coordinates, (n, 3), into records, rounded to the scale.
+
+        Raises
+        ------
+        InputError
+            If one of them, or a NaN, has no integer; ``path`` is where they come from.
+        """
+        steps = np.rint((xyz - self.offsets) / self.scales)
+        if len(steps) and not np.abs(steps).max() < 2**31:  # a NaN is none either
+            raise InputError(
+                str(path),
+                f"has points too far from the offset {self.offsets} for the scale {self.scales}: "
+                "give files one offset, or write them in parts",
+            )
+        for axis, values in zip("XYZ", steps.T, strict=True):
+            records[axis] = values
 
 
 def preamble(old: bytes, encoding: int) -> bytes:

@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,6 +22,9 @@ from rasterio.windows import Window
 from spl_batch.constants import NODATA
 from spl_batch.errors import DamagedError
 from spl_batch.formats.units import Units, metres_in
+
+BLOCK: Final = 1024
+"""Rows and columns of a raster that are read or made at once [cells]."""
 
 LARGEST: Final = 1200
 """Cells that a side of an overview may have [count]."""
@@ -176,6 +180,31 @@ def opened(path: Path, **options: int) -> Iterator[Any]:
             yield source
     except RasterioError as error:
         raise DamagedError(path, error) from error
+
+
+def windows(whole: Window, edge: int, *, beyond: int = 0) -> Iterator[Window]:
+    """Pieces of a window, each up to ``edge`` cells wide and high.
+
+    ``beyond``: cells that a piece shares with the next one.
+    """
+    top, left = int(whole.row_off), int(whole.col_off)
+    bottom, right = top + int(whole.height), left + int(whole.width)
+    for row, col in product(range(top, bottom, edge), range(left, right, edge)):
+        width, height = min(edge + beyond, right - col), min(edge + beyond, bottom - row)
+        yield Window(col, row, width, height)
+
+
+def centres(
+    corner: tuple[float, float], cell: float, window: Window
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Eastings and northings of a window's cells, (rows, columns) each.
+
+    ``corner``: left and upper edge of the raster, in the unit of ``cell``.
+    """
+    east = corner[0] + (window.col_off + np.arange(window.width) + 0.5) * cell
+    north = corner[1] - (window.row_off + np.arange(window.height) + 0.5) * cell
+    x, y = np.meshgrid(east, north)
+    return x, y
 
 
 def _reduced(size: tuple[int, int], largest: int) -> tuple[int, tuple[int, int]]:

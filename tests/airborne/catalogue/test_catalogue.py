@@ -61,7 +61,11 @@ def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("catalogued")
     workflow = surveys.small_survey(
         folder,
-        outputs={"copc": True, "geoid": {"grid": write_grid(folder / "a.gtx"), "crs": "EPSG:5703"}},
+        outputs={
+            "copc": True,
+            "crs": "EPSG:2278",
+            "geoid": {"grid": write_grid(folder / "a.gtx"), "crs": "EPSG:5703"},
+        },
         reference={"checkpoints": "checkpoints.csv"},
     )
     x, y = (value for value in surveys.ORIGIN_M)
@@ -80,7 +84,7 @@ def read(path: Path) -> Any:
 
 def test_stac_keeps_to_its_schemas(output: Path) -> None:
     items = read(output / "stac" / "items.json")["features"]
-    assert len(items) == 8 + len([*(output / "laz").rglob("*.laz")])
+    assert len(items) == 14 + 2 * len([*(output / "laz").rglob("*.laz")])
     assert faults(read(output / "stac" / "collection.json")) == []
     assert [fault for item in items for fault in faults(item)] == []
     broken = {**items[0], "properties": {**items[0]["properties"], "pc:count": -1}}
@@ -107,6 +111,21 @@ def test_models_come_above_the_geoid_in_a_crs_that_says_so(output: Path) -> None
         assert "NAVD88" not in items[model]["properties"]["proj:wkt2"]
     files = read(output / "report.json")["provenance"]["inputs"]
     assert [file["path"] for file in files if file["role"] == "geoid"] == ["a.gtx"]
+
+
+def test_what_lies_in_another_crs_is_listed_in_it(output: Path) -> None:
+    items = {item["id"]: item for item in read(output / "stac" / "items.json")["features"]}
+    moved = [name for name in items if name.startswith("reprojected-")]
+    assert len(moved) == 6 + len([*(output / "laz").rglob("*.laz")])
+    for name in moved:
+        found = items[name]
+        same = items[name.removeprefix("reprojected-").replace("laz-", "copc-")]
+        assert "Texas South Central" in found["properties"]["proj:wkt2"]
+        assert found["properties"]["proj:bbox"][0] > 2e6, "in feet"
+        corners = (np.reshape(one["bbox"], (2, -1))[:, :2] for one in (found, same))
+        ours, theirs = (shapely.box(*corner.ravel()) for corner in corners)
+        assert ours.intersection(theirs).area > 0.5 * theirs.area
+        assert found["properties"].get("pc:count") == same["properties"].get("pc:count")
 
 
 def test_every_link_of_stac_leads_somewhere(output: Path) -> None:
@@ -273,7 +292,7 @@ SITE = (
 
 def nothing_but(name: str) -> dict[str, Any]:
     """Arguments of a catalogue of one cloud alone."""
-    names = ("rasters", "flightlines", "checkpoints")
+    names = ("rasters", "reprojected", "flightlines", "checkpoints")
     lists: dict[str, Any] = {key: [] for key in names}
     clouds = [{"href": name, "span_s": None}]
     return {**lists, "clouds": clouds}

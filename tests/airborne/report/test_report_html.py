@@ -5,15 +5,18 @@ import io
 import re
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from PIL import Image
 
-from spl_batch.airborne.report.model import Counts, Report, Survey
+from spl_batch.airborne.report.model import Counts, DeliveredUnits, Report, Survey
 from spl_batch.airborne.report.pictures import PICTURES, Profile, Raster, make_pictures
 from spl_batch.airborne.report.survey_page import render
+from spl_batch.constants import US_FOOT_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report import maps, style
 from spl_batch.engine.report.page import write_both
@@ -21,6 +24,7 @@ from spl_batch.engine.report.parts import Performance
 from spl_batch.engine.report.picture import Picture
 from spl_batch.engine.report.reported import reported
 from spl_batch.errors import StoppedError
+from spl_batch.formats.units import US_FOOT
 from tests.report_data import (
     EXTENT,
     drawn_pictures,
@@ -218,6 +222,41 @@ class TestPictures:
         picture = make_pictures({"dtm": flat, "difference": flat}, make_report())
         assert picture["dtm"].png
         assert picture["difference"].png
+
+    def test_pictures_of_a_survey_in_feet_are_in_feet(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        drawn: list[Figure] = []
+        monkeypatch.setattr(style, "to_png", lambda made: (drawn.append(made), (b"", 1, 1))[1])
+        inputs, report = make_inputs(), make_report()
+        feet = DeliveredUnits(
+            horizontal=US_FOOT, horizontal_m=US_FOOT_M, vertical=US_FOOT, vertical_m=US_FOOT_M
+        )
+        for units in (DeliveredUnits(), feet):
+            survey = report.survey.model_copy(update={"units": units})
+            make_pictures(
+                inputs["rasters"],
+                report.model_copy(update={"survey": survey}),
+                replace(inputs["profile"], units=units.known),
+                inputs["differences_m"],
+            )
+        half = len(drawn) // 2
+        labels = []
+        for ours, theirs in zip(drawn[:half], drawn[half:], strict=True):
+            mine, other = ours.axes[0], theirs.axes[0]
+            places = mine.images or "height" in mine.get_ylabel()
+            assert np.allclose(
+                mine.viewLim, other.viewLim.get_points() * (US_FOOT_M if places else 1)
+            )
+            before, after = ([one.get_ylabel() for one in made.axes] for made in (ours, theirs))
+            labels += after
+            for mine, other, label in zip(ours.axes, theirs.axes, after, strict=True):
+                if label.startswith("height") and label.endswith("[ft]"):
+                    assert np.allclose(mine.get_ylim(), np.multiply(other.get_ylim(), US_FOOT_M))
+                elif not label.endswith("[ft]"):
+                    assert label in before
+        assert sum(label.endswith("[ft]") for label in labels) == 6
+        assert re.search(r"RMSE \S+\sft \(\S+\scm\)", drawn[-2].axes[0].get_title(loc="left"))
 
     def test_the_order_of_points_does_not_show(self) -> None:
         profile = make_profile(np.random.default_rng(1))

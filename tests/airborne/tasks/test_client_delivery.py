@@ -19,6 +19,7 @@ from scipy.interpolate import RegularGridInterpolator
 from spl_batch.airborne.tasks import client_tiles, delivered_points, index
 from spl_batch.formats.las.header import read_header
 from spl_batch.formats.named_areas import lies_in, read_named_areas
+from spl_batch.formats.rasters import parts
 from spl_batch.formats.units import Units
 from tests import surveys
 
@@ -95,7 +96,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
         with pytest.MonkeyPatch.context() as patched:
             for module in (index, delivered_points, client_tiles) * (name == "other"):
                 patched.setattr(module, "CHUNK_POINTS", 500)
-            patched.setattr(client_tiles, "BLOCK", 3 if name == "other" else 1024)
+            patched.setattr(parts, "BLOCK", 3 if name == "other" else 1024)
             found[name] = surveys.run(workflow)
         assert found[name].exit_status == 0, found[name].report.failures
     asked = found["asked"]
