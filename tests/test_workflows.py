@@ -8,7 +8,6 @@ import yaml
 from pydantic import BaseModel
 
 from spl_batch.airborne.settings.workflow import Workflow, parse_workflow
-from spl_batch.airborne.simulate import load_scene
 from spl_batch.airborne.simulate.scene import scene_file
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
 from spl_batch.engine.settings.workflow_file import parse_any
@@ -35,11 +34,6 @@ def test_workflow_files_are_accepted(path: Path) -> None:
     workflow = parse_any(content, path.name)
     assert set(content) <= set(type(workflow).model_fields)
     assert workflow.output
-
-
-def test_the_scene_file_is_accepted() -> None:
-    scene = load_scene(ROOT / "workflows" / "scene.yaml")
-    assert len(scene.flights) >= 2
 
 
 def test_the_scene_file_names_every_key_and_what_is_commented_out_is_accepted_too() -> None:
@@ -75,13 +69,6 @@ def test_the_complete_workflow_names_every_key_with_its_default() -> None:
     assert set(differing(content, defaults)) == examples
 
 
-def test_the_linear_mode_workflow_needs_no_time() -> None:
-    path = ROOT / "workflows" / "linear_mode.yaml"
-    workflow = parse_workflow(yaml.safe_load(path.read_text(encoding="utf-8")), path.name)
-    assert workflow.filter.method == "none"
-    assert not workflow.afterpulse.enabled
-
-
 def test_the_readme_opens_with_the_two_commands() -> None:
     commands = blocks(ROOT / "README.md", "sh")
     assert [block.strip() for block in commands[:2]] == [MAIN_JOB, TESTS]
@@ -98,13 +85,6 @@ def test_workflows_on_pages_are_accepted(page: Path) -> None:
         whole = {"survey": {"flightlines": "x"}, "output": "out"} | content
         whole["survey"] = {"flightlines": "x"} | whole["survey"]
         parse_workflow(whole, page.name)
-
-
-def test_the_readme_shows_a_whole_workflow() -> None:
-    shown = [yaml.safe_load(block) for block in blocks(ROOT / "README.md", "yaml")]
-    assert any({"survey", "output"} <= set(content) for content in shown)
-    for content in shown:
-        parse_workflow(content, "README.md")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)

@@ -13,13 +13,12 @@ import rasterio
 import shapely
 
 from spl_batch import api
-from spl_batch.airborne.filter import denoise as denoise_stage
 from spl_batch.airborne.noise import line_noise as line_noise_stage
 from spl_batch.airborne.simulate.file_writers import write_polygons
 from spl_batch.constants import NODATA
 from spl_batch.engine.store.output_lock import locked
 from spl_batch.engine.verbs import preparing
-from spl_batch.engine.watch.events import Note, PhaseStarted, TaskEnded
+from spl_batch.engine.watch.events import PhaseStarted, TaskEnded
 from tests import surveys
 
 SCHEMAS = Path(__file__).parents[2] / "schemas"
@@ -43,14 +42,6 @@ class Watcher:
             if isinstance(event, TaskEnded):
                 counts[event.kind] = counts.get(event.kind, 0) + 1
         return counts
-
-    @property
-    def skipped(self) -> int:
-        return sum(e.skipped for e in self.events if isinstance(e, PhaseStarted))
-
-    @property
-    def notes(self) -> list[str]:
-        return [e.text for e in self.events if isinstance(e, Note)]
 
 
 def watched(workflow: Path, *overrides: str, **options: Any) -> tuple[api.RunResult, Watcher]:
@@ -389,12 +380,6 @@ def raising(function: Callable[..., Any], on_call: int) -> Callable[..., Any]:
     return sometimes
 
 
-BREAKS = [
-    (denoise_stage, "denoise", "denoise"),
-    (line_noise_stage, "observe", "observe"),
-]
-
-
 IN_PIECES = (
     *("tiling.tile_m=10", "tiling.block_tiles=1"),
     *("ground.cell_m=10", "ground.buffer_m=1"),
@@ -408,34 +393,29 @@ def in_pieces(small_lines: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
     return surveys.run(workflow, *IN_PIECES, until="deliver").output
 
 
-@pytest.mark.parametrize(("module", "function", "kind"), BREAKS, ids=[b[2] for b in BREAKS])
-def test_a_failing_task_is_isolated_and_tried_again(
-    small: Path,
-    in_pieces: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    module: Any,
-    function: str,
-    kind: str,
+def test_a_failing_task_is_isolated_named_and_tried_again(
+    small: Path, in_pieces: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    settings = IN_PIECES
     with monkeypatch.context() as patch:
-        patch.setattr(module, function, raising(getattr(module, function), 2))
-        result, watcher = watched(small, *settings)
+        patch.setattr(line_noise_stage, "observe", raising(line_noise_stage.observe, 2))
+        result, watcher = watched(small, *IN_PIECES)
     assert result.exit_status == 1
     assert result.report is not None
     (failure,) = result.report.failures
     assert failure.task is not None
-    assert failure.task.startswith(kind)
-    assert "broken on purpose" in failure.reason
+    assert failure.task.startswith("observe")
+    assert (failure.code, failure.reason) == ("F04", "RuntimeError: broken on purpose")
+    assert failure.inputs
+    log = [json.loads(x) for x in (result.output / "log.jsonl").read_text().splitlines()]
+    (trace,) = [x["traceback"] for x in log if x.get("code") == "F04"]
+    assert "in sometimes" in trace
     counts = result.report.counts
     assert counts.points_in == counts.points_out
-    assert watcher.done[kind] >= 2
-    if kind not in {"ground", "denoise"}:
-        assert counts.not_assessed > 0
-    assert counts.not_assessed < counts.points_in
-    second, watcher = watched(small, *settings)
+    assert watcher.done["observe"] >= 2
+    assert 0 < counts.not_assessed < counts.points_in
+    second, watcher = watched(small, *IN_PIECES)
     assert second.exit_status == 0
-    assert watcher.done[kind] == 1, "only what failed is tried again"
+    assert watcher.done["observe"] == 1, "only what failed is tried again"
     assert second.report is not None
     assert second.report.failures == ()
     assert second.report.counts.not_assessed == 0

@@ -132,15 +132,6 @@ def test_all_that_is_wrong_is_named_at_once(survey: Path) -> None:
     refused(planned(survey, *options), "aoi: ", "water: ", "survey.trajectory: ")
 
 
-@pytest.mark.parametrize(
-    "options",
-    [("--memory", "lots"), ("--memory", "4"), ("--workers", -1), ("--no-such-option",)],
-)
-def test_options_that_cannot_be_are_refused(survey: Path, options: tuple[object, ...]) -> None:
-    assert surveys.command("plan", survey, *options).status == 2
-    assert run(survey, "--until", "nowhere").status == 2
-
-
 def line_without_time() -> surveys.Columns:
     line = surveys.flightline(shots=TINY, psid=2, seed=4)
     line["gps_time"] = np.zeros(len(line["x"]))
@@ -212,12 +203,6 @@ def test_missing_channel_dimension(survey: Path) -> None:
     assert planned(survey, "--set", "survey.channel_dimension=null").status == 0
 
 
-def test_no_points_at_all(survey: Path) -> None:
-    none = surveys.take(surveys.flightline(shots=TINY), np.zeros(0, int))
-    surveys.write_cloud(survey.parent / "lines/good.laz", none)
-    refused(planned(survey), "good.laz")
-
-
 @pytest.mark.parametrize("key", ["aoi", "water", "breaklines"])
 def test_polygons_that_are_none_or_damaged_start_nothing(survey: Path, key: str) -> None:
     path = survey.parent / "area.gpkg"
@@ -239,15 +224,3 @@ def test_status_and_report_of_nothing(tmp_path: Path) -> None:
         ended = surveys.command(name, tmp_path)
         assert ended.status == 2
         assert str(tmp_path) in ended.err
-
-
-@pytest.mark.parametrize(("dimension", "held"), [("user_data", "0"), ("return_number", "1")])
-def test_a_dimension_that_holds_no_beamlet_numbers_is_refused(
-    tmp_path: Path, dimension: str, held: str
-) -> None:
-    workflow = surveys.small_survey(tmp_path, survey={"channel_dimension": dimension})
-    for path in (tmp_path / "lines").glob("*.laz"):
-        columns = surveys.flightline(shots=120, psid=int(path.stem[-1]))
-        surveys.write_cloud(path, columns | {"user_data": np.zeros(len(columns["x"]), np.uint8)})
-    refused(run(workflow), f"{dimension} holds only {held} in", "line_1.laz", "line_2.laz")
-    assert planned(workflow, "--set", "survey.channel_dimension=channel").status == 0

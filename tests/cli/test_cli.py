@@ -194,22 +194,6 @@ def test_plan_says_what_a_run_would_do(small_lines: Path, tmp_path: Path) -> Non
     assert "bad_2.laz" in ended.out
 
 
-def test_run_status_and_report(small_lines: Path, tmp_path: Path) -> None:
-    workflow = surveys.copy_of(small_lines, tmp_path)
-    assert surveys.command("run", workflow, "--workers", 0, "--until", "shots").status == 0
-    ended = surveys.command("run", workflow, "--workers", 0)
-    assert ended.status == 0
-    for name in ("report.html", "dtm.tif", "laz"):
-        assert str(tmp_path / "out" / name) in ended.out
-    ended = surveys.command("status", tmp_path / "out")
-    assert ended.status == 0
-    for stage in stages("imaging"):
-        assert stage in ended.out
-    (tmp_path / "out/report.html").unlink()
-    assert surveys.command("report", tmp_path / "out").status == 0
-    assert (tmp_path / "out/report.html").exists()
-
-
 def test_simulate_writes_a_survey_that_can_be_planned(tmp_path: Path) -> None:
     scene = tmp_path / "scene.yaml"
     scene.write_text(

@@ -4,6 +4,7 @@ import contextlib
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 from unittest.mock import MagicMock
@@ -210,6 +211,22 @@ def test_a_worker_that_joins_with_other_code_stops_the_run(
     monkeypatch.setattr(job, "misfit", lambda _: "has spl_batch 0.0, here it is 0.1")
     with pytest.raises(StoppedError, match=r"worker inproc://.* has spl_batch 0.0.*run again"):
         flow_through(threads, apart(jobs(3)), monkeypatch, print)
+
+
+def test_a_worker_that_does_not_see_the_mark_of_a_run_is_no_use(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(job, "code_version", lambda _: "code")
+    waits: list[float] = []
+    mark = tmp_path / "lock"
+    shake = Handshake("imaging", "code", str(mark), "of this run")
+    for content, fault in (("of another", True), ("of this run", False)):
+        monkeypatch.setattr(job.time, "sleep", waits.append)
+        mark.write_text(content)
+        job.misfit.cache_clear()
+        assert ("must share that path" in job.misfit(shake)) == fault
+    assert sum(waits) > 5.0, "a file system may be slow"
+    job.misfit.cache_clear()
 
 
 def test_a_task_that_cannot_be_done_fails_alone(

@@ -84,11 +84,3 @@ def test_a_crs_that_does_not_serve_is_one_fault_among_others(text: str, says: st
     assert len(faults) > 1
     assert all(fault.startswith("survey.crs: ") for fault in faults[1:])
     assert says in faults[1]
-
-
-def test_a_projected_crs_serves() -> None:
-    faults: list[str] = []
-    crs = projected_crs("EPSG:32616", "survey.crs", faults)
-    assert crs is not None
-    assert projected_crs(None, "survey.crs", faults) is None
-    assert not faults

@@ -11,7 +11,6 @@ import pytest
 from spl_batch.airborne.report.pictures import make_pictures
 from spl_batch.airborne.report.survey_page import render
 from spl_batch.airborne.settings.workflow import parse_workflow
-from spl_batch.constants import NODATA
 from spl_batch.engine.report import maps, style
 from spl_batch.engine.report.maps import Raster
 from spl_batch.engine.report.page import changed
@@ -63,14 +62,6 @@ def test_only_what_differs_is_shown() -> None:
     assert (found["products.cell_m"], found["ground.method"]) == ("0.5", "smrf")
     assert len(found["survey.flightlines"]) < 200
     assert not dict(changed({"kind": "of another version"}))
-
-
-def test_a_large_raster_is_averaged_without_what_is_missing() -> None:
-    values = np.arange(24.0).reshape(4, 6)
-    values[0, 0] = NODATA
-    found = maps.reduce_raster(Raster(values, (0.0, 6.0, 0.0, 4.0)), 2)
-    assert found.values.tolist() == [[np.mean([1, 2, 6, 7, 8, 12, 13, 14]), 10.0], [19.0, 22.0]]
-    assert found.extent_m == (0.0, 6.0, -2.0, 4.0)
 
 
 @pytest.mark.parametrize("extent", [EXTENT, (0.0, 5.0, 0.0, 900.0), (0.0, 900.0, 0.0, 5.0)])

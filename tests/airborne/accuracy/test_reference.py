@@ -19,7 +19,6 @@ from spl_batch.constants import NODATA
 from spl_batch.engine.tasks.runner import run_task
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs.preparing import prepare
-from spl_batch.errors import DamagedError
 from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.formats.verified.parquet_npz import read_arrays
 from tests import surveys
@@ -157,22 +156,6 @@ def test_a_square_that_fits_into_no_worker_is_refused_alone(tmp_path: Path) -> N
     assert "--memory" in refused["0_0"]
     assert "cut the reference" in refused["0_0"]
     assert not refused["0_1"]
-
-
-def test_what_a_square_said_is_made_again_where_it_is_damaged(tmp_path: Path) -> None:
-    surveys.write_cloud(tmp_path / "ref.laz", surveys.flightline(shots=60))
-    survey = surveys.small_survey(tmp_path, reference={"points": "ref.laz"})
-    first = api.run(survey, workers=0)
-    for path in squares(first.output):
-        content = bytearray(path.read_bytes())
-        content[len(content) // 2] ^= 1
-        path.write_bytes(bytes(content))
-    with pytest.raises(DamagedError, match="run again"):
-        api.report(first.output)
-    again = api.run(survey, workers=0)
-    assert first.report is not None
-    assert again.report is not None
-    assert again.report.accuracy == first.report.accuracy
 
 
 def squares(output: Path) -> list[Path]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import spl_batch
-from spl_batch.errors import InputError, MissingPackageError, WorkflowError, needed
+from spl_batch.errors import InputError, WorkflowError
 
 RNG = np.random.default_rng(3)
 GROUND = np.c_[RNG.uniform(0, 40, (8_000, 2)), RNG.normal(20, 0.03, 8_000)]
@@ -140,16 +140,6 @@ def test_each_wrong_setting_is_named() -> None:
     ):
         with pytest.raises(WorkflowError, match=said):
             spl_batch.filter_points(CLOUD, **arguments)  # type: ignore[arg-type]
-
-
-def test_terrain_of_degrees_is_refused() -> None:
-    with pytest.raises(InputError, match="look like degrees"):
-        spl_batch.ground_points(CLOUD * [5e-5, 5e-5, 1] + [8.5, 47.3, 0])
-
-
-def test_a_missing_package_is_named_with_its_extra() -> None:
-    with pytest.raises(MissingPackageError, match=r"pip install 'spl-batch\[xarray\]'"):
-        needed("no_such_package_here", "rasters", "xarray")
 
 
 def test_rasters_as_xarray() -> None:

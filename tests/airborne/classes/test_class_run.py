@@ -7,8 +7,12 @@ import numpy as np
 import pytest
 import rasterio
 
+from spl_batch.airborne.classes.point_classes import _surface_below
 from spl_batch.airborne.settings.workflow import load_workflow
+from spl_batch.constants import NODATA, NOISE_SIGNAL
 from spl_batch.errors import WorkflowError
+from spl_batch.lattice.tables import PointTable
+from spl_batch.lattice.tiles import Bounds
 from tests import surveys
 from tests.surveys import Columns
 
@@ -18,7 +22,6 @@ ALL = {
     "overlap": True,
     "withheld": True,
 }
-FLAGS = {"classification", "withheld", "overlap"}
 
 
 def delivered(output: Path) -> dict[str, Columns]:
@@ -84,12 +87,15 @@ def test_classes_follow_heights_and_flags_places(runs: dict[str, Path]) -> None:
         assert np.array_equal(kind[open_to], wanted[open_to])
 
 
-def test_all_else_of_the_input_is_kept(runs: dict[str, Path]) -> None:
-    for name, points in delivered(runs["a"]).items():
-        given = surveys.cloud(runs["a"].parent / "lines" / name)
-        assert {"channel", "scan_angle", "point_source_id", "user_data"} <= set(given)
-        for dimension in set(given) - FLAGS:
-            assert np.array_equal(points[dimension], given[dimension]), dimension
+def test_where_the_terrain_is_void_signal_in_the_middle_is_the_surface() -> None:
+    z = np.array([5_000, 7_000, 9_000, 90_000])  # the last is noise
+    noise = np.array([NOISE_SIGNAL] * 3 + [NOISE_SIGNAL + 1], np.uint8)
+    at = np.arange(4) * 1_000
+    table = PointTable({"x": at, "y": at, "z": z, "noise_class": noise})
+    dtm = np.array([[NODATA, NODATA], [4.0, NODATA]], np.float32)
+    surface, void = _surface_below(table, Bounds(0, 0, 4_000, 4_000), dtm)
+    assert void.tolist() == [False, False, True, True]
+    assert surface.tolist() == [4.0, 4.0, 7.0, 7.0]
 
 
 def test_heights_that_do_not_rise_are_refused(tmp_path: Path) -> None:

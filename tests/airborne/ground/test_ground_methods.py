@@ -9,102 +9,76 @@ from numpy.typing import NDArray
 from spl_batch.airborne.ground.ground_methods import ground_mask, sparse_at
 from spl_batch.airborne.ground.point_spacing import spacings_m
 from spl_batch.airborne.settings import GroundSettings
-from spl_batch.lattice.tables import PointTable
+from tests.airborne.ground.clouds import ground_of, places, table
 
 METHODS = ("multiscale", "ptd", "smrf")
-
-
-def table(x: object, y: object, z: object) -> PointTable:
-    """Points from metres, in canonical order."""
-    cols = [np.rint(np.asarray(v, dtype=float) * 1000).astype(np.int64) for v in (x, y, z)]
-    order = np.lexsort(cols[::-1])
-    return PointTable(
-        {"x": cols[0][order], "y": cols[1][order], "z": cols[2][order].astype(np.int32)}
-    )
-
-
-def ground(points: PointTable, method: str = "multiscale") -> NDArray[np.bool_]:
-    return ground_mask(points, np.ones(len(points), dtype=bool), GroundSettings(method=method))
-
-
-def square(n: int, edge_m: float, seed: int = 1) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    x, y = np.random.default_rng(seed).uniform(0, edge_m, (2, n))
-    return x, y
 
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("n", [0, 1, 2, 3])
 def test_few_points_are_ground(method: str, n: int) -> None:
     points = table(np.arange(n) * 3.0, np.arange(n) ** 2 * 1.0, np.full(n, 7.0))
-    assert ground(points, method).tolist() == [True] * n
+    assert ground_of(points, method).tolist() == [True] * n
+
+
+ALONG = np.linspace(0, 50, 200)
+PLANES = {
+    "coincident": (np.full(50, 5.0), np.full(50, 9.0), np.full(50, 1.0)),
+    "collinear": (ALONG, 2 * ALONG, 0.1 * ALONG),
+    "flat water": (*places(4000, 40), np.zeros(4000)),
+    # All cells cocircular: the worst case of a triangulation.
+    "lattice": (np.arange(900) % 30, np.arange(900) // 30, 0.1 * (np.arange(900) % 30)),
+}
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_coincident_points(method: str) -> None:
-    assert ground(table(np.full(50, 5.0), np.full(50, 9.0), np.full(50, 1.0)), method).all()
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_collinear_points(method: str) -> None:
-    x = np.linspace(0, 50, 200)
-    assert ground(table(x, 2 * x, 0.1 * x), method).all()
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_flat_water_is_ground(method: str) -> None:
-    x, y = square(4000, 40)
-    assert ground(table(x, y, np.zeros(4000)), method).all()
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_regular_lattice_is_ground(method: str) -> None:
-    """All cells cocircular: the worst case of a triangulation."""
-    x, y = (v.ravel() for v in np.meshgrid(np.arange(30.0), np.arange(30.0)))
-    assert ground(table(x, y, 0.1 * x), method).all()
+@pytest.mark.parametrize("plane", PLANES)
+def test_planes_of_any_places_are_ground(plane: str, method: str) -> None:
+    assert ground_of(table(*PLANES[plane]), method).all()
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_no_thin_layer_anywhere(method: str) -> None:
     """Canopy only: nothing to check but that an answer comes."""
-    x, y = square(3000, 12)
+    x, y = places(3000, 12)
     z = np.random.default_rng(2).uniform(0, 300, 3000)
-    assert ground(table(x, y, z), method).shape == (3000,)
+    assert ground_of(table(x, y, z), method).shape == (3000,)
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_building_over_most_of_a_cell(method: str) -> None:
-    x, y = square(60_000, 100)
+    x, y = places(60_000, 100)
     roof = (np.abs(x - 50) < 27) & (np.abs(y - 50) < 27)
     points = table(x, y, np.where(roof, 8.0, 0.0))
     high = points["z"] > 4000
-    found = ground(points, method)
+    found = ground_of(points, method)
     assert not found[high].any()
     assert found[~high].all()
 
 
 def test_low_wide_hall_is_no_ground() -> None:
     """5 m high and 56 m wide: slope times radius alone would let it pass."""
-    x, y = square(150_000, 100)
+    x, y = places(150_000, 100)
     roof = (np.abs(x - 50) < 28) & (np.abs(y - 50) < 28)
     points = table(x, y, np.where(roof, 5.0, 0.0))
-    assert not ground(points)[points["z"] > 2500].any()
+    assert not ground_of(points)[points["z"] > 2500].any()
 
 
 def test_cliff_keeps_both_levels() -> None:
-    x, y = square(40_000, 100)
+    x, y = places(40_000, 100)
     points = table(x, y, np.where(x < 50, 0.0, 20.0))
-    assert ground(points).mean() > 0.98
+    assert ground_of(points).mean() > 0.98
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_steep_plane_is_ground(method: str) -> None:
-    x, y = square(20_000, 60)
-    assert ground(table(x, y, x), method).mean() > 0.99
+    x, y = places(20_000, 60)
+    assert ground_of(table(x, y, x), method).mean() > 0.99
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_unusable_points_neither_count_nor_change_anything(method: str) -> None:
-    x, y = square(5000, 40)
+    x, y = places(5000, 40)
     z = np.where(np.arange(5000) % 50 == 0, -3.0, 0.0)
     points = table(x, y, z)
     usable = points["z"] > -1000
@@ -131,15 +105,15 @@ def lattice(step_m: float, edge_m: float) -> tuple[NDArray[np.float64], ...]:
 def test_the_order_of_the_points_changes_nothing(method: str, seed: int) -> None:
     points = table(*lattice(0.5, 24.0))
     turned = np.random.default_rng(seed).permutation(len(points))
-    assert np.array_equal(ground(points.take(turned), method), ground(points, method)[turned])
+    assert np.array_equal(ground_of(points.take(turned), method), ground_of(points, method)[turned])
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_moving_the_survey_by_whole_cells_changes_nothing(method: str) -> None:
-    x, y = square(8000, 60)
+    x, y = places(8000, 60)
     z = 2 * np.sin(x / 9) + np.where(np.hypot(x - 30, y - 30) < 6, 5.0, 0.0)
-    here = ground(table(x, y, z), method)
-    there = ground(table(x + 640_000, y - 1_280_000, z), method)
+    here = ground_of(table(x, y, z), method)
+    there = ground_of(table(x + 640_000, y - 1_280_000, z), method)
     assert np.array_equal(here, there)
 
 
@@ -150,14 +124,14 @@ def test_any_cloud_gets_an_answer(data: st.DataObject) -> None:
     whole = st.lists(st.integers(0, 30), min_size=n, max_size=n)
     points = table(*(data.draw(whole) for _ in range(3)))
     for method in METHODS:
-        found = ground(points, method)
+        found = ground_of(points, method)
         assert found.dtype == bool
         assert len(found) == n
         assert found.any() == (n > 0)
 
 
 def test_sparse_data_get_wider_cells() -> None:
-    x, y = square(96 * 96 * 3, 96)
+    x, y = places(96 * 96 * 3, 96)
     wide = sparse_at(spacings_m(x, y), x, y, 1.0)
     assert not wide.any()
     thin = (x < 48) | (np.arange(len(x)) % 3 == 0)
@@ -169,10 +143,9 @@ def test_sparse_data_get_wider_cells() -> None:
 @pytest.mark.parametrize("method", METHODS)
 def test_points_that_are_asked_for_are_told_what_they_are(method: str) -> None:
     rng = np.random.default_rng(8)
-    xy = rng.uniform(0, 40, (6000, 2))
-    z = 0.1 * xy[:, 0] + np.where(rng.random(6000) < 0.3, rng.uniform(1, 9, 6000), 0.0)
-    quanta = np.round(np.column_stack([xy, z]) * 1000).astype(np.int64)
-    points = PointTable(dict(zip("xyz", quanta.T, strict=True)))
+    x, y = rng.uniform(0, 40, (6000, 2)).T
+    z = 0.1 * x + np.where(rng.random(6000) < 0.3, rng.uniform(1, 9, 6000), 0.0)
+    points = table(x, y, z)
     usable, asked = rng.random((2, 6000)) < 0.7
     settings = GroundSettings(method=method)
     whole = ground_mask(points, usable, settings)

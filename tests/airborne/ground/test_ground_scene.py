@@ -8,9 +8,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator
 
-from spl_batch.airborne.ground.ground_methods import ground_mask
-from spl_batch.airborne.settings import GroundSettings
 from spl_batch.lattice.tables import PointTable
+from tests.airborne.ground.clouds import ground_of, table
 
 Float = NDArray[np.float64]
 
@@ -58,17 +57,9 @@ def scene(density: float = 25.0) -> Scene:
     z += rng.normal(0, RANGING_SD_M, n)
     noise = rng.random(n) < 0.002
     z[noise] = base[noise] - rng.uniform(0.5, 50, int(noise.sum()))
-    xq, yq, zq = (np.rint(v * 1000) for v in (x + ORIGIN_M[0], y + ORIGIN_M[1], z))
-    order = np.lexsort([zq, yq, xq])
-    table = PointTable(
-        {
-            "x": xq[order].astype(np.int64),
-            "y": yq[order].astype(np.int64),
-            "z": zq[order].astype(np.int32),
-            "range_sigma": np.full(n, RANGING_SD_M, dtype=np.float32),
-        }
-    )
-    return Scene(table, (ground & ~noise)[order], noise[order])
+    points = table(x + ORIGIN_M[0], y + ORIGIN_M[1], z)
+    points = points.with_columns(range_sigma=np.full(n, RANGING_SD_M))
+    return Scene(points, ground & ~noise, noise)
 
 
 def _plants(rng: np.random.Generator) -> tuple[Float, Float, Float, Float]:
@@ -94,14 +85,10 @@ def dtm_error(scene: Scene, mask: NDArray[np.bool_]) -> Float:
     return error[np.isnan(roof_height(gx, gy)) & np.isfinite(error)]
 
 
-def whole(found: Scene, settings: GroundSettings) -> NDArray[np.bool_]:
-    return ground_mask(found.table, np.ones(len(found.table), dtype=bool), settings)
-
-
 @cache
 def ground(method: Literal["multiscale", "ptd", "smrf"]) -> NDArray[np.bool_]:
     """Ground of the whole scene; several tests look at it."""
-    return whole(scene(), GroundSettings(method=method))
+    return ground_of(scene().table, method)
 
 
 @pytest.mark.parametrize(
@@ -137,7 +124,7 @@ def test_ground_of_untold_spread_is_a_centimetre_low_at_most() -> None:
     """Ranges that scatter twice as much as is reckoned with where no flightline tells it."""
     found = scene()
     bare = PointTable({axis: found.table[axis] for axis in "xyz"})
-    error = dtm_error(found, whole(found._replace(table=bare), GroundSettings()))
+    error = dtm_error(found, ground_of(bare))
     assert -0.01 < np.mean(error) < 0.002
     assert np.sqrt(np.mean(error**2)) < 0.03
 
@@ -147,27 +134,11 @@ def test_ground_of_coarse_ranges_is_not_biased() -> None:
     rng = np.random.default_rng(3)
     x, y = rng.uniform(0, 40, (2, 12 * 40 * 40))
     z = 0.1 * x + rng.normal(0, 0.15, len(x))
-    columns = {a: np.rint(v * 1000).astype(np.int64) for a, v in zip("xyz", (x, y, z), strict=True)}
-    sigma = {"range_sigma": np.full(len(x), 0.15, dtype=np.float32)}
-    usable, settings = np.ones(len(x), np.bool_), GroundSettings()
-    found = ground_mask(PointTable(columns | sigma), usable, settings)
+    untold = table(x, y, z)
+    found = ground_of(untold.with_columns(range_sigma=np.full(len(x), 0.15)))
     assert found.mean() > 0.985
     assert abs((z - 0.1 * x)[found].mean()) < 0.01
-    assert ground_mask(PointTable(columns), usable, settings).mean() < 0.97
-
-
-def test_cells_agree_where_their_buffers_overlap() -> None:
-    """Two overlapping windows of the scene give the same ground away from their edges."""
-    found = scene()
-    x = found.table["x"] - int(ORIGIN_M[0]) * 1000
-    left, right = np.flatnonzero(x < 90_000), np.flatnonzero(x >= 30_000)
-    mask = np.zeros((2, len(x)), dtype=bool)
-    for k, part in enumerate((left, right)):
-        mask[k, part] = ground_mask(
-            found.table.take(part), np.ones(len(part), dtype=bool), GroundSettings()
-        )
-    middle = (x >= 55_000) & (x < 65_000)
-    assert np.mean(mask[0, middle] != mask[1, middle]) < 0.001
+    assert ground_of(untold).mean() < 0.97
 
 
 @pytest.mark.parametrize(
@@ -182,9 +153,7 @@ def test_single_returns_under_wide_crowns_are_ground(
     crown = np.hypot(x - 20, y - 20) < 12
     leaf = crown & (rng.random(len(x)) > 1.2 / 25)
     height = rng.normal(0, RANGING_SD_M, len(x)) + np.where(leaf, rng.uniform(3, 15, len(x)), 0)
-    xyz = (np.rint(v * 1000).astype(np.int64) for v in (x, y, 0.5 * x + height))
-    table = PointTable(dict(zip("xyz", xyz, strict=True)))
-    found = ground_mask(table, np.ones(len(x), np.bool_), GroundSettings(method=method))
+    found = ground_of(table(x, y, 0.5 * x + height), method)
     assert height[found].max() < 1
     assert found[crown & ~leaf].mean() > 0.99
 
@@ -194,9 +163,7 @@ def test_terraces_are_ground_to_their_edges(per_m2: int, share: float) -> None:
     """Steps of 4 m every 8 m: ground below an edge says nothing against that on it."""
     x, y = np.random.default_rng(1).uniform(0, 60, (2, per_m2 * 60 * 60))
     z = 4 * np.floor(x / 8) + np.random.default_rng(2).normal(0, RANGING_SD_M, len(x))
-    xyz = (np.rint(v * 1000).astype(np.int64) for v in (x, y, z))
-    table = PointTable(dict(zip("xyz", xyz, strict=True)))
-    assert ground_mask(table, np.ones(len(x), np.bool_), GroundSettings()).mean() > share
+    assert ground_of(table(x, y, z)).mean() > share
 
 
 def crowns_on_a_slope(seed: int) -> tuple[PointTable, Float]:
@@ -212,8 +179,7 @@ def crowns_on_a_slope(seed: int) -> tuple[PointTable, Float]:
         above = bottom + rng.uniform(0, 8, int(under.sum()))
         leaves[under] = np.maximum(above - 1.5 * (x[under] - east), 0.5)
     height = rng.normal(0, RANGING_SD_M, len(x)) + leaves * (rng.random(len(x)) > 1.2 / 25)
-    xyz = (np.rint(v * 1000).astype(np.int64) for v in (x, y, 1.5 * x + height))
-    return PointTable(dict(zip("xyz", xyz, strict=True))), height
+    return table(x, y, 1.5 * x + height), height
 
 
 @pytest.mark.parametrize(("method", "least"), [("multiscale", 0.97), ("ptd", 0.998)])
@@ -222,8 +188,8 @@ def test_crowns_on_steep_slopes_are_no_ground(
     seed: int, method: Literal["multiscale", "ptd"], least: float
 ) -> None:
     """Ground rises by more than a shrub from a metre to the next: nothing lies "below" a crown."""
-    table, height = crowns_on_a_slope(seed)
-    found = ground_mask(table, np.ones(len(height), np.bool_), GroundSettings(method=method))
+    points, height = crowns_on_a_slope(seed)
+    found = ground_of(points, method)
     assert height[found].max() < 1.5
     assert found[np.abs(height) < 0.15].mean() > least
 
@@ -239,8 +205,6 @@ def test_single_returns_in_deep_shade_are_ground(
     leaf = rng.random(len(x)) > 0.8 / 25
     height = rng.normal(0, RANGING_SD_M, len(x)) + np.where(leaf, rng.uniform(3, 15, len(x)), 0)
     road = 0.7 * y - np.clip(0.7 * (y - 28), 0, 2.8)
-    xyz = (np.rint(v * 1000).astype(np.int64) for v in (x, y, road + height))
-    table = PointTable(dict(zip("xyz", xyz, strict=True)))
-    found = ground_mask(table, np.ones(len(x), np.bool_), GroundSettings(method=method))
+    found = ground_of(table(x, y, road + height), method)
     assert found[~leaf].mean() > least
     assert found[leaf].sum() < 20

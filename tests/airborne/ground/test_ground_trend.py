@@ -9,12 +9,9 @@ from spl_batch.airborne.ground.ground_trend import REACH_M, STEP_M, fit_trend, t
 from spl_batch.airborne.ground.lowest_layers import Nodes
 from spl_batch.airborne.settings import PtdSettings
 from spl_batch.numerics.cell_groups import group_by_cell
+from tests.airborne.ground.clouds import places
 
 Float = NDArray[np.float64]
-
-
-def places(n: int, edge_m: float, seed: int = 1) -> Float:
-    return np.random.default_rng(seed).uniform(0, edge_m, (2, n))
 
 
 def slow_height(ground: Float, x: float, y: float) -> float:

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from spl_batch.airborne.ground.ground_methods import ground_mask
 from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
 from spl_batch.airborne.ground.ground_trend import fit_trend, trend_at
 from spl_batch.airborne.ground.multiscale.grown_ground import (
@@ -32,48 +31,11 @@ from spl_batch.airborne.ground.multiscale.grown_ground import (
 )
 from spl_batch.airborne.ground.multiscale.node_planes import LEAST, nearest_nodes, on_one_side
 from spl_batch.airborne.ground.node_grids import lowest_nodes, nearest_node
-from spl_batch.airborne.settings import GroundSettings
-from spl_batch.lattice.tables import PointTable
+from tests.airborne.ground.clouds import ground_of, table
 from tests.airborne.ground.test_node_planes import slow_plane
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-
-@pytest.fixture(scope="module")
-def quarry() -> dict[str, Mask]:
-    """A plateau that ends in a cliff with spurs, a gorge with a deck over it, and a hall below."""
-    rng = np.random.default_rng(5)
-    x, y = rng.uniform(0, 1, (2, 14_000)) * [[260], [220]]
-    plateau = x > 90 + 20 * np.cos(2 * np.pi * y / 55)
-    gorge = np.abs(x - 215) < 10
-    deck = gorge & (np.abs(y - 110) < 5)
-    hall = (np.abs(x - 30) < 10) & (np.abs(y - 110) < 15)
-    z = 12.0 * plateau - 12.0 * gorge + 12.0 * deck + 6.0 * hall + rng.normal(0, 0.03, len(x))
-    columns = {
-        name: np.rint(1000 * v).astype(np.int64) for name, v in zip("xyz", (x, y, z), strict=True)
-    }
-    found = ground_mask(PointTable(columns), np.ones(len(x), dtype=np.bool_), GroundSettings())
-    inner = deck & (np.abs(x - 215) < 8)
-    rim = plateau & (x < 125)
-    return {"found": found, "rim": rim, "deck": inner, "hall": hall, "ground": ~deck & ~hall}
-
-
-def test_rims_and_spurs_of_a_cliff_are_ground(quarry: dict[str, Mask]) -> None:
-    assert quarry["found"][quarry["rim"]].mean() > 0.85
-    assert quarry["found"][quarry["ground"]].mean() > 0.97
-
-
-@pytest.mark.parametrize("what", ["deck", "hall"])
-def test_ground_goes_on_to_no_deck_and_no_hall(quarry: dict[str, Mask], what: str) -> None:
-    assert quarry["found"][quarry[what]].mean() < 0.05
-
-
-def default_ground(x: Float, y: Float, z: Float) -> Mask:
-    """Ground by the default method, in the order of the points."""
-    columns = [np.rint(1000 * v).astype(np.int64) for v in (x, y, z)]
-    table = PointTable(dict(zip("xyz", columns, strict=True)))
-    return ground_mask(table, np.ones(len(x), dtype=np.bool_), GroundSettings())
 
 
 def hillside(seed: int, edge: int = 20) -> tuple[Float, NDArray[np.int64], Mask]:
@@ -216,14 +178,14 @@ def test_the_rim_of_a_low_cliff_on_a_slope_is_ground() -> None:
     leaf = rng.random(len(x)) < 0.5
     z[leaf] += rng.uniform(1, 14, leaf.sum())
     near = (y < rim) & (y > 48 + 0.1 * x) & ~leaf & (np.abs(x - 60) < 50)
-    assert default_ground(x, y, z)[near].mean() > 0.7
+    assert ground_of(table(x, y, z))[near].mean() > 0.7
 
 
 def test_the_corner_of_a_plateau_is_ground() -> None:
     rng = np.random.default_rng(7)
     x, y = rng.uniform(0, 140, (2, 30_000))
     plateau = (x < 70 + 0.3 * y) & (y < 90)
-    found = default_ground(x, y, 14.0 * plateau + rng.normal(0, 0.03, len(x)))
+    found = ground_of(table(x, y, 14.0 * plateau + rng.normal(0, 0.03, len(x))))
     tip = plateau & (y > 80) & (x > 82)
     assert tip.sum() > 150
     assert found[tip].mean() > 0.8

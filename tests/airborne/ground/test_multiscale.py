@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from spl_batch.airborne.ground.ground_methods import METHODS, ground_mask
+from spl_batch.airborne.ground.ground_methods import METHODS
 from spl_batch.airborne.ground.multiscale_surface import (
     agreeing_nodes,
     depths_below,
@@ -16,21 +16,9 @@ from spl_batch.airborne.ground.multiscale_surface import (
 )
 from spl_batch.airborne.ground.node_grids import lowest_nodes, plane_heights
 from spl_batch.airborne.settings import GroundSettings
-from spl_batch.lattice.tables import PointTable
+from tests.airborne.ground.clouds import ground_of, places, table
 
 Float = NDArray[np.float64]
-
-
-def places(n: int, edge_m: float, seed: int = 1) -> tuple[Float, Float]:
-    x, y = np.random.default_rng(seed).uniform(0, edge_m, (2, n))
-    return x, y
-
-
-def default_ground(x: Float, y: Float, z: Float) -> NDArray[np.bool_]:
-    """Ground by the default method, in the order of the points."""
-    columns = [np.rint(v * 1000).astype(np.int64) for v in (x, y, z)]
-    table = PointTable(dict(zip("xyz", columns, strict=True)))
-    return ground_mask(table, np.ones(len(x), dtype=np.bool_), GroundSettings())
 
 
 def test_every_method_of_the_settings_is_in_the_table() -> None:
@@ -184,7 +172,7 @@ def test_roofs_of_a_thinned_town_are_no_ground() -> None:
         inside = (np.abs(x - cx) < across) & (np.abs(y - cy) < along)
         z[inside & ~roof] += (eave + ridge)[inside & ~roof]
         roof |= inside
-    found = default_ground(x, y, z)
+    found = ground_of(table(x, y, z))
     assert found[roof].mean() < 0.01
     assert found[~roof].mean() > 0.98
 
@@ -196,7 +184,7 @@ def test_forest_floor_is_found_between_rare_ground_returns() -> None:
     floor = 3 * np.sin(x / 30) + 2 * np.cos(y / 25)
     leaf = rng.random(len(x)) > 0.1
     height = rng.normal(0, 0.03, len(x)) + np.where(leaf, rng.uniform(2, 20, len(x)), 0.0)
-    found = default_ground(x, y, floor + height)
+    found = ground_of(table(x, y, floor + height))
     assert np.quantile(height[found], 0.99) < 0.5
     assert found[~leaf].mean() > 0.95
 
@@ -210,7 +198,7 @@ def test_kept_noise_below_a_closed_forest_is_no_ground() -> None:
     leaf = rng.random(n) > 0.02
     height = rng.normal(0, 0.03, n) + np.where(leaf, rng.uniform(2, 20, n), 0.0)
     height[:noise] = rng.uniform(-2.0, -0.8, noise)
-    found = default_ground(x, y, floor + height)
+    found = ground_of(table(x, y, floor + height))
     inner = np.all([(v > 5) & (v < 65) for v in (x, y)], axis=0)
     assert found[inner & (height < -0.7)].mean() < 0.02
     assert found[inner & ~leaf & (height > -0.2)].mean() > 0.97
@@ -222,7 +210,7 @@ def test_shrubs_of_a_dense_heath_are_no_ground() -> None:
     rng = np.random.default_rng(7)
     shrub = rng.random(len(x)) > 1 / 6
     height = rng.normal(0, 0.03, len(x)) + np.where(shrub, rng.uniform(0.05, 1.0, len(x)), 0.0)
-    found = default_ground(x, y, 0.05 * x + height)
+    found = ground_of(table(x, y, 0.05 * x + height))
     assert found[~shrub].mean() > 0.95
     assert found[height > 0.3].mean() < 0.01
     assert np.median(height[found & ~shrub]) == pytest.approx(0.0, abs=0.01)
@@ -237,7 +225,7 @@ def test_grass_and_moss_do_not_raise_dense_ground(
     rng = np.random.default_rng(9)
     plant = rng.random(len(x)) > share
     height = rng.normal(0, 0.02, len(x)) + np.where(plant, rng.uniform(*grass_m, len(x)), 0.0)
-    found = default_ground(x, y, 0.05 * x + height)
+    found = ground_of(table(x, y, 0.05 * x + height))
     assert found[~plant].mean() > 0.95
     assert np.median(height[found]) < 0.03
     assert found[height > 0.15].mean() < 0.01
@@ -254,7 +242,7 @@ def test_ground_goes_on_to_crests_and_decks_and_houses_do_not() -> None:
     z = ground + 6.0 * deck + 4.0 * house + rng.normal(0, 0.03, len(x))
     leaf = (rng.random(len(x)) < 0.5) & (y < 30) & (x < 50)
     z[leaf] += rng.uniform(1, 12, leaf.sum())
-    found = default_ground(x, y, z)
+    found = ground_of(table(x, y, z))
     crest = (np.abs(x - 30) < 8) & ~leaf & (np.abs(y - 45) < 42)
     assert found[crest].mean() > 0.9
     inside = (np.abs(x - 70) < 6) & (np.abs(y - 40) < 3)
@@ -275,6 +263,6 @@ def test_ground_does_not_go_on_to_roofs_of_a_hillside(
     roof = (np.abs(x - 32) < 6) & (np.abs(y - 32) < 6)
     slope, pitch = np.tan(np.radians([slope_deg, pitch_deg]))
     height = np.where(roof, slope * 38 + eave_m + pitch * (6 - across), slope * x)
-    found = default_ground(x, y, height + np.random.default_rng(3).normal(0, 0.03, len(x)))
+    found = ground_of(table(x, y, height + np.random.default_rng(3).normal(0, 0.03, len(x))))
     assert found[roof].mean() < 0.16
     assert found[~roof].mean() > 0.99

@@ -28,7 +28,7 @@ def nodes(seed: int = 1, slope: float = 0.0, rough_m: float = 0.0, side_m: float
 def nearest(xyz):
     """The 21 nodes nearest to each, itself among them."""
     apart = np.linalg.norm(xyz[:, np.newaxis, :2] - xyz[:, :2], axis=-1)
-    return np.argsort(apart, axis=1)[:, :21]
+    return np.ascontiguousarray(np.argsort(apart, axis=1)[:, :21])
 
 
 def slow_plane(xyz, weight, i, members):

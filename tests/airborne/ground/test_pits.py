@@ -7,15 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spl_batch.airborne.ground.ground_methods import ground_mask
 from spl_batch.airborne.ground.lowest_layers import lowest_layers
 from spl_batch.airborne.ground.pits import in_pits
 from spl_batch.airborne.ground.point_spacing import spacing_m, spacings_m
 from spl_batch.airborne.ground.smrf import fill_gaps
-from spl_batch.airborne.settings import GroundSettings
 from spl_batch.lattice.tables import PointTable
-from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
 from spl_batch.numerics.cell_groups import group_by_cell
+from tests.airborne.ground.clouds import ground_of, table
 
 
 def pits(
@@ -175,24 +173,17 @@ def survey(seed: int = 5, edge_m: float = 70.0, density: float = 8.0) -> dict[st
 
 
 def table_of(points: dict[str, np.ndarray], *, probability: bool) -> PointTable:
-    columns = {
-        "x": np.rint(points["x"] * 1000).astype(np.int64),
-        "y": np.rint(points["y"] * 1000).astype(np.int64),
-        "z": np.rint(points["z"] * 1000).astype(np.int32),
-    }
-    if probability:
-        columns["afterpulse"] = points["afterpulse"]
-    return PointTable(columns)
+    made = table(*(points[axis] for axis in "xyz"))
+    return made.with_columns(afterpulse=points["afterpulse"]) if probability else made
 
 
 @pytest.mark.parametrize("method", ["ptd", "smrf"])
 def test_followers_hold_each_other_up_but_pull_no_ground_down(method: str) -> None:
     points = survey()
     low = points["z"] < points["base"] - 1.5
-    usable = np.ones(len(low), dtype=np.bool_)
-    chosen = GroundSettings(method=method)
-    told = ground_mask(table_of(points, probability=True), usable, chosen)
-    untold = ground_mask(table_of(points, probability=False), usable, chosen)
+    told, untold = (
+        ground_of(table_of(points, probability=known), method) for known in (True, False)
+    )
     assert told[points["ground"]].mean() > 0.995
     assert told[low].mean() < 0.01
     assert untold[low].mean() > 2 * told[low].mean()
@@ -201,22 +192,7 @@ def test_followers_hold_each_other_up_but_pull_no_ground_down(method: str) -> No
 def test_where_every_return_follows_another_no_ground_is_known() -> None:
     points = survey(edge_m=30.0)
     points["afterpulse"][:] = 0.9
-    usable = np.ones(len(points["x"]), dtype=np.bool_)
-    assert not ground_mask(table_of(points, probability=True), usable, GroundSettings()).any()
-
-
-def test_the_cuts_between_ground_cells_change_no_label() -> None:
-    points = survey(seed=6, edge_m=150.0, density=5.0)
-    table = table_of(points, probability=True)
-    usable = np.ones(len(table), dtype=np.bool_)
-    chosen = GroundSettings()
-    whole = ground_mask(table, usable, chosen)
-    owned = Bounds(0, 0, quanta(75.0), quanta(75.0))
-    part = np.flatnonzero(inside(table["x"], table["y"], grow(owned, quanta(chosen.buffer_m))))
-    assert len(part) < len(table)
-    found = ground_mask(table.take(part), usable[part], chosen)
-    mine = inside(table["x"][part], table["y"][part], owned)
-    assert np.mean(found[mine] != whole[part][mine]) < 1e-4
+    assert not ground_of(table_of(points, probability=True)).any()
 
 
 def test_filled_gaps_do_not_depend_on_what_else_is_in_sight() -> None:
@@ -264,8 +240,6 @@ def test_kept_noise_below_steep_ground_among_nearly_empty_cells_is_no_ground() -
         np.concatenate(pair)
         for pair in ((x, low[:, 0]), (y, low[:, 1]), (z, 0.9 * low[:, 0] - (4.0, 4.5, 2.0)))
     )
-    columns = [np.rint(1000 * v).astype(np.int64) for v in (x, y, z)]
-    table = PointTable(dict(zip("xyz", columns, strict=True)))
-    found = ground_mask(table, np.ones(len(x), dtype=np.bool_), GroundSettings())
+    found = ground_of(table(x, y, z))
     assert not found[-3:].any()
     assert found[:-3].mean() > 0.98

@@ -214,11 +214,3 @@ def test_a_run_is_flattened(tmp_path: Path) -> None:
     assert 31.25 not in dtm[~wet]
     assert surveys.found(result.report.findings, "G04", "flooded")
     assert "breaklines" in {item.role for item in result.report.provenance.inputs}
-
-
-def test_breaklines_without_heights_start_nothing(tmp_path: Path) -> None:
-    write(tmp_path / "breaklines.gpkg", {"a": [shapely.force_2d(LAKE)]})
-    workflow = surveys.small_survey(tmp_path, breaklines="breaklines.gpkg")
-    ended = surveys.command("run", workflow)
-    assert ended.status == 2
-    assert "has no height: give its vertices one, or a field z" in ended.text

@@ -83,12 +83,6 @@ def test_seconds_of_the_week_are_no_other_day(survey: Path) -> None:
     assert surveys.run(survey, until="shots").exit_status == 0
 
 
-def test_a_trajectory_without_its_columns_is_refused(survey: Path) -> None:
-    path = survey.parent / "trajectory.csv"
-    path.write_text("time,x,y,z\n1,2,3,4\n")
-    assert "has no column gps_time" in refused(survey, planned=True)
-
-
 def test_files_without_times_are_found_by_their_headers(survey: Path) -> None:
     line = surveys.flightline(shots=120, psid=2)
     lines = survey.parent / "lines"

@@ -40,7 +40,7 @@ def cells(bounds: Bounds) -> tuple[np.ndarray, np.ndarray]:
     return y.ravel(), x.ravel()
 
 
-@settings(deadline=None)
+@settings(deadline=None, max_examples=15)
 @given(st.integers(0, 100))
 def test_a_dense_strip_has_its_own_density_and_the_rest_the_average(seed: int) -> None:
     found = noise_by_cell(refused(np.random.default_rng(seed), TIMES), WIDE, NEAR, SIZE)
@@ -54,7 +54,7 @@ def test_a_dense_strip_has_its_own_density_and_the_rest_the_average(seed: int) -
     assert np.all(found[within] < TIMES * PER_M3 * 1.2 * STEP)
 
 
-@settings(deadline=None)
+@settings(deadline=None, max_examples=15)
 @given(st.integers(0, 100))
 def test_even_noise_has_one_density(seed: int) -> None:
     found = noise_by_cell(refused(np.random.default_rng(seed), 1.0), WIDE, NEAR, SIZE)

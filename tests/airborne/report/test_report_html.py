@@ -175,11 +175,6 @@ def smallest_report() -> Report:
 
 
 class TestWrite:
-    def test_both_files_are_there_and_nothing_else(self, tmp_path: Path) -> None:
-        out = tmp_path / "a" / "b"
-        write_both(out, make_report(), render(make_report(), {}))
-        assert sorted(p.name for p in out.iterdir()) == ["report.html", "report.json"]
-
     def test_a_failed_write_keeps_the_earlier_report(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -301,7 +296,7 @@ class TestMaps:
         values = rng.normal(10, 3, (23, 37))
         values[rng.random(values.shape) < 0.3] = -9999.0
         values[:4, :4] = np.nan
-        made = maps.reduce_raster(Raster(values, (0.0, 37.0, 0.0, 23.0)), largest=10)
+        made = maps.reduce_raster(Raster(values, (100.0, 137.0, 50.0, 73.0)), largest=10)
         assert made.values.shape == (6, 10)
         for row in range(6):
             for column in range(10):
@@ -309,4 +304,8 @@ class TestMaps:
                 block = [v for v in block if np.isfinite(v) and v != -9999.0]
                 expected = np.mean(block) if block else np.nan
                 np.testing.assert_allclose(made.values[row, column], expected, rtol=1e-12)
-        assert made.extent_m == pytest.approx((0.0, 40.0, -1.0, 23.0))
+        assert made.extent_m == pytest.approx((100.0, 140.0, 49.0, 73.0))
+
+    def test_a_ramp_spans_the_values_or_something(self) -> None:
+        assert maps.spread(np.array([100.0, np.nan, 110.0]), 0, 100) == (100.0, 110.0)
+        assert maps.spread(np.full(3, 100.0), 0, 100) == pytest.approx((99.95, 100.05))

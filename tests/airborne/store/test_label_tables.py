@@ -51,7 +51,7 @@ def write_tiles(store: Store, table: PointTable) -> list[CellId]:
 
 
 @settings(
-    max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(n=st.integers(1, 150), unit=st.sampled_from([70, 100, 260]), seed=st.integers(0, 99))
 def test_labels_of_other_units_come_back_to_each_point(
@@ -82,7 +82,7 @@ def test_labels_of_other_units_come_back_to_each_point(
 
 
 @settings(
-    max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(n=st.integers(1, 150), seed=st.integers(0, 99), other=st.sampled_from([None, 0, 1]))
 def test_points_as_they_lie_are_the_same_and_labelled_alike(

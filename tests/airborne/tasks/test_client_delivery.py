@@ -303,37 +303,6 @@ def test_points_that_nothing_has_looked_at_are_outside_by_their_place(
     assert outside.any()
 
 
-@pytest.mark.slow
-def test_a_survey_in_feet_has_the_same_tiles(tmp_path: Path) -> None:
-    unit_m, outputs = 1200 / 3937, []
-    for name, factor in (("metres", 1.0), ("feet", unit_m)):
-        folder = tmp_path / name
-        workflow = surveys.small_survey(folder, outputs={**OUTPUTS, "drop": []})
-        shapes = {k: shapely.transform(v, lambda xy, f=factor: xy / f) for k, v in TILES.items()}
-        crs = surveys.CRS_NAME if name == "metres" else FEET
-        write_tiles(folder / "tiles.gpkg", shapes, crs=crs)
-        if name == "feet":
-            for path in sorted((folder / "lines").iterdir()):
-                surveys.in_feet(path, path, FEET, [unit_m] * 3)
-        outputs.append(surveys.run(workflow).output)
-    for name in ("A", "B-2"):
-        ours, theirs = (laspy.read(out / "client_tiles" / f"{name}.laz") for out in outputs)
-        assert np.allclose(ours.xyz, theirs.xyz * unit_m, rtol=0, atol=1e-6)
-        height = [np.asarray(las["HeightAboveGround"]) for las in (ours, theirs)]
-        assert np.allclose(height[0], height[1] * unit_m, atol=2e-4, equal_nan=True)
-        paths = [out / "client_tiles" / f"{name}_dtm.tif" for out in outputs]
-        with rasterio.open(paths[0]) as a, rasterio.open(paths[1]) as b:
-            known = a.read(1) != a.nodata
-            assert np.array_equal(known, b.read(1) != b.nodata)
-            assert np.allclose(a.read(1)[known], b.read(1)[known] * unit_m, atol=1e-4)
-            assert b.units[0] == "US survey foot"
-        with rasterio.open(outputs[1] / "dtm.tif") as whole, rasterio.open(paths[1]) as cut:
-            window = rasterio.windows.from_bounds(*cut.bounds, whole.transform).round_offsets()
-            same = whole.read(1, window=window.round_lengths())
-            found = cut.read(1)
-            assert np.array_equal(found[known], same[known])
-
-
 def test_what_two_polygons_share_by_rounding_is_the_first_ones(tmp_path: Path) -> None:
     shapes = {"a": shapely.box(0, 0, 10, 10), "b": shapely.box(9.9985, 0, 20, 10)}
     path = write_tiles(tmp_path / "tiles.gpkg", shapes)

@@ -64,14 +64,9 @@ def cluster(dask_processes: Cluster) -> Cluster:
             (),
             "here it is 0.0+other",
         ),
-        (
-            ("spl_batch.engine.verbs.running.lock_file", lambda _: Path("/nowhere")),
-            (),
-            "must share that path",
-        ),
         (None, ("--memory", "3GiB"), "less than --memory 3072 MiB; lower --memory"),
     ],
-    ids=["code", "path", "memory"],
+    ids=["code", "memory"],
 )
 def test_workers_that_cannot_do_the_work_are_refused(
     small: Path,
