@@ -14,7 +14,10 @@ import yaml
 from pyproj import CRS
 
 from spl_batch import api
+from spl_batch.airborne.report import summarise
 from spl_batch.constants import NODATA
+from spl_batch.engine.findings import Finding
+from spl_batch.errors import grouped
 from tests import surveys
 
 pytestmark = pytest.mark.slow
@@ -78,6 +81,19 @@ def test_the_report_states_the_units(twins: tuple[Path, Path]) -> None:
     assert theirs["error_m"] == pytest.approx(ours["error_m"], abs=1e-4)
     assert theirs["x_m"] == pytest.approx(ours["x_m"], abs=1e-5)
     assert not [one for one in feet["findings"] if one["code"] in {"C01", "I08"}]
+
+
+def test_findings_lie_where_the_cloud_does(
+    twins: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    west, south = surveys.ORIGIN_M
+    values = {"share": 0.1, "sigma_m": 0.5, "area_m2": 9.0}
+    found = Finding("G01", values, place=(west, south, west + 3.0, south + 3.0))
+    monkeypatch.setattr(summarise, "terrain_findings", lambda _: [found])
+    (place,) = [one.sentence for one in api.report(twins[1]).report.findings if one.code == "G01"]
+    ends = [f"{grouped(round(v / US_M))} to {grouped(round((v + 3.0) / US_M))}"
+            for v in (west, south)]  # fmt: skip
+    assert place.endswith(f"x {ends[0]} and y {ends[1]} ft")
 
 
 def test_catalogues_lie_where_the_clouds_do(twins: tuple[Path, Path]) -> None:

@@ -106,6 +106,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
                 *own_points(None if found is None else found.own_share),
             ),
             context.workflow.report.ignore,
+            units=Units.of(context.crs),
         ),
         provenance=_provenance(done, context, facts.reference),
     )

@@ -17,7 +17,7 @@ from spl_batch.errors import InputError
 from tests import surveys
 
 GROUND = {"cell_m": 50, "buffer_m": 5}
-SETTINGS = ("tiling.tile_m=50", "tiling.block_tiles=1")
+SETTINGS = ("tiling.tile_m=10", "tiling.block_tiles=1")
 FAR_M = 150.0
 
 
