@@ -44,7 +44,7 @@ def main() -> None:
         overrides = [*settings, f"output={folder / re.sub('[^a-z0-9]+', '_', name)}"]
         if "small files" in name:
             split(workflow.parent / "flightlines", place / "small")
-            overrides.append(f"survey.flightlines={place / 'small'}")
+            overrides.append(f"survey.flightlines={place}/small/*.laz")
         cost = api.plan(workflow, overrides=overrides).cost
         arguments = [part for value in overrides for part in ("--set", value)]
         took_s = end_to_end.command("run", workflow, "--fresh", *arguments)

@@ -101,6 +101,7 @@ SCENES: Final[Mapping[str, Mapping[str, Any]]] = {
         trees={"cover": 0.2},
     ),
     "parcels": _uneven(terrain={"relief_m": 10, "wavelength_m": 120, "parcel_m": 40}),
+    "fields": _uneven(terrain={"reflectance_variation": 0.6, "reflectance_m": 100}),
     "shoreline": _uneven(
         water=[{"ring_m": [[-60, -60], [110, -60], [130, 120], [100, 300], [-60, 300]]}]
     ),
@@ -156,7 +157,7 @@ STRATA: Final[tuple[tuple[str, str, tuple[str, ...], Region], ...]] = (
     ("neither of them", "edges", (BLIND, ALIKE), lambda v: v.gate_middle),
     ("gate and pulse rate unknown", "edges", ("acquisition={}",), lambda v: v.gate_middle),
     *(
-        row for name in ("classes", "parcels", "shoreline", "shadows", "slopes")
+        row for name in ("classes", "parcels", "fields", "shoreline", "shadows", "slopes")
         for row in ((f"{name}, bright", name, (), lambda v: v.bright),
                     (f"{name}, dark", name, (), lambda v: v.dark))
     ),
@@ -268,8 +269,8 @@ def _gate_ends(truth: Grid) -> tuple[Mask, Mask]:
     return end, middle
 
 
-SEEDS: Final = {"shadows": 3, "shadows, even rate": 3, "classes": 3, "parcels": 1, "shoreline": 1,
-                "slopes": 1}  # fmt: skip
+SEEDS: Final = {"shadows": 3, "shadows, even rate": 3, "classes": 3, "parcels": 1, "fields": 1,
+                "shoreline": 1, "slopes": 1}  # fmt: skip
 """Scenes of which the kept noise is counted, and how many seeds each has."""
 
 MIDDLE_M, FAR_M = 65.0, 5.0

@@ -275,10 +275,9 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
         ),
         "G02": Code(
             "Voids in the terrain",
-            "{count:voids} of the terrain, {area_m2:.0f} m2, the largest {largest_m2:.0f} m2 at "
-            "{east_m:.0f} E, {north_m:.0f} N: no ground near enough, by "
-            "products.void_max_m ({void_max_m:g} m) and products.edge_max_m, or water without a "
-            "level",
+            "{count:voids} of the terrain, {area_m2:.0f} m2, the largest {largest_m2:.0f} m2: no "
+            "ground near enough, by products.void_max_m ({void_max_m:g} m) and "
+            "products.edge_max_m, or water without a level",
             "there are no heights",
             "breaklines give water its level; larger products.void_max_m and edge_max_m fill roofs "
             "and woods",

@@ -14,11 +14,18 @@ from typing import Any, Final, Literal, TextIO
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from pyproj import CRS, Transformer
+from pyproj import CRS
 from pyproj.exceptions import CRSError, ProjError
 
 from spl_batch.errors import InputError, as_input_fault, counted, named
-from spl_batch.formats.crs import crs_name, heights_ratio, horizontal, other_heights, same_crs
+from spl_batch.formats.crs import (
+    best_transformer,
+    crs_name,
+    heights_ratio,
+    horizontal,
+    other_heights,
+    same_crs,
+)
 from spl_batch.formats.units import Units
 from spl_batch.formats.vector_files import all_layers
 
@@ -275,16 +282,13 @@ def _transformed(
     whole = bool(other_heights(source, crs))
     ends = (source, crs) if whole else (horizontal(source), horizontal(crs))
     try:
-        # Without the grid of a geoid PROJ would leave heights as they are and keep silent.
-        transformer = Transformer.from_crs(
-            *ends, always_xy=True, only_best=whole, allow_ballpark=not whole
-        )
+        transformer = best_transformer(*ends)
         x, y, z = xyz.T
         x, y, z = transformer.transform(x, y, z, errcheck=whole and len(xyz) == 1)
     except ProjError as error:
         raise InputError(
             str(path),
             f"cannot be transformed from {crs_name(source)} to {crs_name(crs)} ({error}): give the "
-            "checkpoints in the survey's CRS, or put the grid that PROJ lacks into its data folder",
+            "checkpoints in the survey's CRS, or give PROJ the grid that it lacks",
         ) from None
     return np.column_stack([x, y, z if whole else xyz[:, 2]])

@@ -1,16 +1,18 @@
 """Coordinate reference systems: from LAS records, and whether they suit this work."""
 
+import warnings
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pyproj import CRS, Proj
+from pyproj import CRS, Proj, Transformer
 from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError, ProjError
+from pyproj.transformer import TransformerGroup
 
-from spl_batch.errors import WorkflowError
+from spl_batch.errors import WorkflowError, named
 from spl_batch.formats.units import Units, metres_in
 
 WKT_KEY: Final = ("LASF_Projection", 2112)
@@ -288,4 +290,27 @@ def like_degrees(corners: Sequence[Sequence[float]], key: str) -> str:
     return (
         "no CRS is known and the coordinates look like degrees: if they are, reproject the files "
         f"to a CRS in metres{example}; if they are metres, name their CRS, --set {key}=EPSG:..."
+    )
+
+
+def best_transformer(source: CRS, target: CRS) -> Transformer:
+    """Transformation in the order easting, northing, by the best operation that PROJ knows.
+
+    Without a grid PROJ takes the next best one, metres off, and keeps silent.
+
+    Raises
+    ------
+    ProjError
+        If there is none, or PROJ lacks its grid; it names the grid.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the same, without the grid's name
+        group = TransformerGroup(source, target, always_xy=True, allow_ballpark=False)
+    grids = [grid.short_name for one in group.unavailable_operations[:1] for grid in one.grids]
+    if not group.best_available:
+        files = " ".join(f"--file {name}" for name in grids)
+        how = f"lacks {named(grids)}, which `pyproj sync {files}` fetches"
+        raise ProjError(f"the best transformation: PROJ {how if grids else 'knows none'}")
+    return Transformer.from_crs(
+        source, target, always_xy=True, only_best=True, allow_ballpark=False
     )

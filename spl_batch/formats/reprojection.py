@@ -17,6 +17,7 @@ from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.crs import (
     WKT_KEY,
+    best_transformer,
     compound,
     crs_name,
     crs_problems,
@@ -85,18 +86,15 @@ class Reprojection:
             self._whole = self._transformer(survey, named)
 
     def _transformer(self, source: CRS, target: CRS) -> Transformer:
-        """By the best way alone: without a grid PROJ would be metres off and keep silent."""
         try:
-            return Transformer.from_crs(
-                source, target, always_xy=True, only_best=True, allow_ballpark=False
-            )
+            return best_transformer(source, target)
         except ProjError as error:
             raise self._unreachable(str(error)) from None
 
     def _unreachable(self, reason: str) -> WorkflowError:
         return WorkflowError(
             f"{KEY}: cannot be reached from {crs_name(self._survey)} ({reason}): name another CRS, "
-            "or put the grid that PROJ lacks into its data folder"
+            "or give PROJ the grid that it lacks"
         )
 
     @property

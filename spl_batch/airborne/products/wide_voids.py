@@ -106,7 +106,9 @@ def void_findings(found: Sequence[Void], void_max_m: float) -> list[Finding]:
     largest = found[0]
     values = {
         "count": len(found), "area_m2": float(sum(void.area_m2 for void in found)),
-        "largest_m2": float(largest.area_m2), "east_m": float(largest.east_m),
-        "north_m": float(largest.north_m), "void_max_m": void_max_m,
+        "largest_m2": float(largest.area_m2), "void_max_m": void_max_m,
     }  # fmt: skip
-    return [Finding("G02", values)]
+    half_m = 0.5 * largest.area_m2**0.5
+    east_m, north_m = float(largest.east_m), float(largest.north_m)
+    place = (east_m - half_m, north_m - half_m, east_m + half_m, north_m + half_m)
+    return [Finding("G02", values, place=place)]

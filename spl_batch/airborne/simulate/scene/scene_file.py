@@ -68,9 +68,8 @@ class Terrain(Section):
     roughness_m: NotNegative = Field(0.02, description="Spread of small bumps [m].")
     reflectance: Share = Field(0.25, description="Mean reflectance of the ground.")
     reflectance_variation: Share = Field(0.3, description="Relative spread of it.")
-    parcel_m: Positive | None = Field(
-        None, description="Size of fields of a reflectance each, from dark to bright [m]."
-    )
+    reflectance_m: Positive = Field(40.0, description="Size of brighter and darker fields [m].")
+    parcel_m: Positive | None = Field(None, description="Size of parcels of one reflectance [m].")
     grid_m: Positive = Field(1.0, description="Node spacing of the ground [m].")
     landforms: tuple[Landform, ...] = Field((), description="Plateaus, ridges, valleys.")
 

@@ -43,7 +43,7 @@ def make_ground(scene: Scene, rng: np.random.Generator, lean: float) -> Ground:
         fall = distance_to(shapely.Polygon(form.ring_m), grid, z.shape, _ALL)
         fall *= math.tan(math.radians(form.slope_deg))
         z += math.copysign(1.0, form.height_m) * np.maximum(abs(form.height_m) - fall, 0.0)
-    bright = _smooth_noise(rng, (ny, nx), 10.0 / step) - 0.5
+    bright = _smooth_noise(rng, (ny, nx), terrain.reflectance_m / step / 4) - 0.5
     bright /= max(float(bright.std()), 1e-9)
     rho = terrain.reflectance * np.clip(1 + terrain.reflectance_variation * bright, 0.05, 3.0)
     if terrain.parcel_m is not None:
