@@ -86,9 +86,13 @@ def horizontal(crs: CRS) -> CRS:
 
 
 def vertical(crs: CRS) -> CRS | None:
-    """The part of a compound CRS that heights refer to; None where it names none."""
+    """The part of a compound CRS that heights refer to; None where it names none.
+
+    A grid of a geoid that is bound to it, as older writers have it, makes no other heights of them.
+    """
     parts = crs.sub_crs_list if crs.is_compound else []
-    return next((part for part in parts if part.is_vertical), None)
+    found = next((part for part in parts if part.is_vertical), None)
+    return found.source_crs if found is not None and found.is_bound else found
 
 
 def with_vertical(crs: CRS | None, text: str, key: str) -> CRS:

@@ -221,3 +221,18 @@ def test_heights_are_in_a_unit_that_is_stated_or_the_surveys(
     found: str, survey: str, ratio: float | None
 ) -> None:
     assert heights_ratio(*map(CRS.from_user_input, (found, survey))) == ratio
+
+
+def test_heights_with_the_grid_of_a_geoid_are_those_of_their_datum() -> None:
+    flat = CRS("EPSG:6588").to_wkt("WKT1_GDAL")
+    text = (
+        f'COMPD_CS["x",{flat},VERT_CS["NAVD88 height (ftUS)",VERT_DATUM["North American Vertical '
+        'Datum 1988",2005,EXTENSION["PROJ4_GRIDS","g2012a_conus.gtx"],AUTHORITY["EPSG","5103"]],'
+        'UNIT["US survey foot",0.304800609601219,AUTHORITY["EPSG","9003"]],AXIS["Up",UP],'
+        'AUTHORITY["EPSG","6360"]]]'
+    )
+    found = vertical(CRS(text))
+    assert found is not None
+    assert same_heights(found, CRS("EPSG:6360"))
+    assert not same_heights(found, CRS("EPSG:5703"))
+    assert not same_heights(found, CRS("EPSG:5773"))
