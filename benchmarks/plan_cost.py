@@ -7,6 +7,7 @@ the run's from Enter to prompt and their ratio. Kernels are compiled before.
 
 import argparse
 import re
+import shutil
 from pathlib import Path
 from typing import Final
 
@@ -41,7 +42,9 @@ def main() -> None:
     for name, (of_scene, settings) in SURVEYS.items():
         place = folder / "_".join(map(str, of_scene))
         workflow = end_to_end.survey(place, end_to_end.scene(*of_scene))
-        overrides = [*settings, f"output={folder / re.sub('[^a-z0-9]+', '_', name)}"]
+        output = folder / re.sub("[^a-z0-9]+", "_", name)
+        shutil.rmtree(output, ignore_errors=True)  # its rates would be those of the plan
+        overrides = [*settings, f"output={output}"]
         if "small files" in name:
             split(workflow.parent / "flightlines", place / "small")
             overrides.append(f"survey.flightlines={place}/small/*.laz")
