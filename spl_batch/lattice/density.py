@@ -72,25 +72,25 @@ class Piece:
             Edge of a unit and its halo [quanta].
         """
         step = max(unit_q, self.edge)
-        read = self._sums(self._total, step, (unit_q, halo_q))
-        read[self._sums(self._total_touched, step, (step, 0)) <= _TOUCHED] = -1.0
+        _, read, there, first = self.loads(unit_q, halo_q)
+        read[~there] = -1.0
         row, column = np.unravel_index(int(np.argmax(read)), read.shape)
-        west = (self.first.i * self.edge // step + int(column)) * step
-        south = (self.first.j * self.edge // step + int(row)) * step
+        west, south = (first.i + int(column)) * step, (first.j + int(row)) * step
         return Peak(float(read[row, column]), Bounds(west, south, west + unit_q, south + unit_q))
 
     def loads(
         self, unit_q: int, halo_q: int
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], CellId]:
-        """Points of each unit, and with its halo: two (rows, columns); and the first of the units.
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_], CellId]:
+        """Points of each unit, and with its halo; which own part of the survey; the first unit.
 
-        Where squares are larger than units, one unit of each square is looked at. Parameters as of
-        :meth:`peak`.
+        Three (rows, columns); units that own none have no points of their own. Where squares are
+        larger than units, one unit of each square is looked at. Parameters as of :meth:`peak`.
         """
         step = max(unit_q, self.edge)
         own, read = (self._sums(self._total, step, (unit_q, reach)) for reach in (0, halo_q))
+        there = self._sums(self._total_touched, step, (step, 0)) > _TOUCHED
         first = CellId(self.first.i * self.edge // step, self.first.j * self.edge // step)
-        return own, read, first
+        return np.where(there, own, 0.0), read, there, first
 
     @cached_property
     def _total(self) -> NDArray[np.float64]:

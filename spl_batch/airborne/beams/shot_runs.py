@@ -4,7 +4,7 @@ A shot is the run of rows with one ``gps_time``, a beamlet that with one ``gps_t
 Shot *numbers* do not count: two shots share one where times jitter.
 """
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,10 @@ class Beamlets(NamedTuple):
 
     order: NDArray[np.int32]  #: (n,): rows, beamlet after beamlet, ascending within each.
     start: NDArray[np.int32]  #: (m + 1,): where beamlets start in ``order``, then n.
+
+
+NO_BEAMLETS: Final = Beamlets(np.empty(0, np.int32), np.zeros(1, np.int32))
+"""Those of an empty table."""
 
 
 def beamlets_of(table: PointTable) -> Beamlets:

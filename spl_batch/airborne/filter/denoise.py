@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse import afterpulse_decision
 from spl_batch.airborne.beams.dependent_returns import LAG_M, follow
-from spl_batch.airborne.beams.shot_runs import Beamlets, beamlets_of
+from spl_batch.airborne.beams.shot_runs import NO_BEAMLETS, Beamlets, beamlets_of
 from spl_batch.airborne.filter import published
 from spl_batch.airborne.filter.ellipsoid import ellipsoid_test
 from spl_batch.airborne.filter.filter_interface import Cloud, Verdict, near_box
@@ -122,7 +122,8 @@ def denoise(
         Of the m query points: ``noise_class`` (m,) uint8; ``p_value`` (m,) float32, P(as much
         evidence | noise), NaN where not assessed; ``wire`` (m,) uint8, 1 for a sure conductor.
     """
-    beamlets = beamlets_of(table)
+    # Without a filter nothing asks for them.
+    beamlets = NO_BEAMLETS if settings.method == "none" else beamlets_of(table)
     found = _resolve(table, density, settings, afterpulse, beamlets)
     density = density if tested is None else tested
     del tested

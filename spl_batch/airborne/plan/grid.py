@@ -22,7 +22,7 @@ from spl_batch.airborne.plan.task_memory import halo_m, task_bytes
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.plan.worker_memory import usable_bytes
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.lattice.density import Piece, largest
+from spl_batch.lattice.density import Piece
 from spl_batch.lattice.tiles import (
     Bounds,
     CellId,
@@ -205,28 +205,28 @@ def denoise_grid(
     found = DenoiseCells(Grid.of_boxes(boxes, quanta(workflow.tiling.tile_m), margin), 0, 0.0)
     for side in range(1, MOST_TILES + 1) if given is None else (given,):
         edge = quanta(side * workflow.tiling.tile_m)
-        peak = largest(piece.peak(edge, margin) for piece in pieces)
-        if (
-            side > 1
-            and given is None
-            and task_bytes("denoise", peak.points) > usable_bytes(memory_bytes)
-        ):
-            break
         # What lies in a strip is read by the cell beside it already.
         grid = Grid.of_boxes(boxes, edge, margin)
         loads = [_work(piece, grid, margin) for piece in pieces]
-        total = math.fsum(float(work.sum()) * each for work, each in loads)
-        longest = max((float(work.max(initial=0.0)) for work, _ in loads), default=0.0)
-        cells = sum(int(np.count_nonzero(work) * each) for work, each in loads)
+        peak = task_bytes("denoise", max((most for *_, most in loads), default=0.0))
+        if side > 1 and given is None and peak > usable_bytes(memory_bytes):
+            break
+        total = math.fsum(float(work.sum()) * each for work, each, _ in loads)
+        longest = max((float(work.max(initial=0.0)) for work, *_ in loads), default=0.0)
+        cells = sum(int(np.count_nonzero(work) * each) for work, each, _ in loads)
         took = min(share * total + (1.0 - share) * longest, -(-cells // max(workers, 1)) * longest)
         if took < least:
             found, least = DenoiseCells(grid, cells, total), took
     return found
 
 
-def _work(piece: Piece, grid: Grid, margin: int) -> tuple[NDArray[np.float64], float]:
-    """Work of the cells that own part of a piece [points], and how many cells each stands for."""
-    own, read, first = piece.loads(grid.edge, margin)
+def _work(piece: Piece, grid: Grid, margin: int) -> tuple[NDArray[np.float64], float, float]:
+    """Work of the cells that own part of a piece, how many each stands for, most that one reads.
+
+    Work and what is read are in points.
+    """
+    own, read, there, first = piece.loads(grid.edge, margin)
+    most = float(read[there].max(initial=0.0))
     each = (max(piece.edge, grid.edge) / grid.edge) ** 2
     if each == 1.0:
         for axis, (low, high) in enumerate(((grid.low.j, grid.high.j), (grid.low.i, grid.high.i))):
@@ -234,7 +234,7 @@ def _work(piece: Piece, grid: Grid, margin: int) -> tuple[NDArray[np.float64], f
             keeper, starts = np.unique(np.clip(at, low, high), return_index=True)
             own = np.add.reduceat(own, starts, axis)
             read = read.take(keeper - first[1 - axis], axis)
-    return np.where(own > 0.0, own + MARGIN_COST * (read - own), 0.0), each
+    return np.where(own > 0.0, own + MARGIN_COST * (read - own), 0.0), each, most
 
 
 def tile_counts(tiles: Mapping[str, Receipt]) -> dict[CellId, int]:
