@@ -21,8 +21,9 @@ from spl_batch.airborne.ground.lowest_layers import (
     count_around,
     lowest_layers,
 )
+from spl_batch.airborne.ground.morphology import object_cells
 from spl_batch.airborne.ground.pits import PIT_REACH_M, in_pits
-from spl_batch.airborne.ground.smrf import fill_gaps, low_outliers, object_cells
+from spl_batch.airborne.ground.smrf import fill_gaps, low_outliers
 from spl_batch.airborne.settings import PtdSettings
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.numerics.cell_groups import Cells, group_by_cell

@@ -28,10 +28,10 @@ from scipy import ndimage, special
 
 from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
 from spl_batch.airborne.ground.ground_trend import Trend, fit_trend, trend_at
+from spl_batch.airborne.ground.morphology import object_cells
 from spl_batch.airborne.ground.multiscale.ranging_layer import EVERYWHERE, STEEP
 from spl_batch.airborne.ground.node_grids import lowest_nodes, plane_heights
 from spl_batch.airborne.ground.point_spacing import BLOCK_M, Blocks, no_counts, quantiles
-from spl_batch.airborne.ground.smrf import object_cells
 from spl_batch.numerics.compiled import njit
 
 CELL_M: Final = 1.0
@@ -360,7 +360,7 @@ def ground_nodes(xyz: Float, high: Mask, grid: Index, nearest: Index) -> Mask:
         Those that the surface is made of, by cells of :data:`CELL_M`, or -1, and that of the
         nearest cell with one.
     """
-    raised = object_cells(xyz[nearest, 2], CELL_M, _SLOPE, WINDOW_M, step_m=STEP_M, asked=grid >= 0)
+    raised = object_cells(xyz[nearest, 2], CELL_M, _SLOPE, WINDOW_M, step_m=STEP_M)
     ground = np.zeros(len(xyz), dtype=np.bool_)
     ground[grid[(grid >= 0) & ~raised & ~high[grid]]] = True  # the lowest node is one
     return ground

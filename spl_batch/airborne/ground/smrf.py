@@ -5,8 +5,8 @@
 | ZImin, grid of lowest heights | the caller's: layer means, which low noise does not pull down |
 | low outliers, opening of the inverted grid, slope 500 % | :func:`low_outliers` |
 | inpainting of empty cells | :func:`fill_gaps` |
-| progressive opening, threshold slope x radius | :func:`object_cells` |
-| disk of radius k | an octagon of radius k (:mod:`~spl_batch.airborne.ground.morphology`) |
+| progressive opening, threshold slope x radius | :func:`.object_cells` |
+| disk of radius k | an octagon of radius k (:func:`.octagon`) |
 
 Deviations: gaps are filled by a TIN through their rims rather than by a partial
 differential equation, which differs only inside the gap; an octagon costs what its
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from spl_batch.airborne.ground.morphology import cut_off
+from spl_batch.airborne.ground.morphology import object_cells
 from spl_batch.numerics.nearest_cells import nearest_cells
 from spl_batch.numerics.triangulation.tin import interpolate, triangulate
 
@@ -28,42 +28,6 @@ _JITTER_CELLS = 1e-5
 """Twice the largest step aside of a grid node in a triangulation [cells]."""
 
 Grid = NDArray[np.float64]
-
-
-def object_cells(
-    surface: Grid,
-    cell_m: float,
-    slope: float,
-    window_m: float,
-    *,
-    step_m: float = np.inf,
-    asked: NDArray[np.bool_] | None = None,
-) -> NDArray[np.bool_]:
-    """Cells that stand above the progressively opened surface.
-
-    Parameters
-    ----------
-    surface : (rows, columns) float64
-        Lowest heights without gaps [m].
-    cell_m : float
-        Edge of a cell [m].
-    slope : float
-        Tolerated slope [rise/run].
-    window_m : float
-        Largest radius of the window [m].
-    step_m : float
-        A larger fall from one window to the next is an object's at any radius [m]; the
-        source has no such limit, and keeps halls that are low for their width.
-    asked : (rows, columns) bool, optional
-        Cells to be told; all by default.
-
-    Returns
-    -------
-    (rows, columns) bool
-    """
-    largest = int(np.ceil(window_m / cell_m))
-    falls = np.minimum(slope * np.arange(1, largest + 1) * cell_m, step_m)
-    return cut_off(surface, falls, asked)
 
 
 def low_outliers(surface: Grid, cell_m: float) -> NDArray[np.bool_]:
