@@ -21,9 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from spl_batch.airborne.ground.multiscale.near_surface import facets_at
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.triangulation.delaunay import along_curve, empty_mesh, finite, insert
-from spl_batch.numerics.triangulation.tin import Tin, first_of, locate_one, tin_of
+from spl_batch.numerics.triangulation.tin import Tin, locate_one, tin_of
 
 _ROUNDS = 60
 """Rounds after which densification stops anyway; ten to twenty are usual [count]."""
@@ -277,42 +278,10 @@ def heights_above(
     edge : (n,) float64
         Shortest edge of the point's facet, horizontally [m].
     """
-    distance, edge = np.empty(len(x)), np.empty(len(x))
-    _heights_above(tin.xyz, tin.facets, tin.neighbours, tin.planes, x, y, z, distance, edge)
+    facet = facets_at(tin, x, y)
+    (a, b, c), (x0, y0, _) = tin.planes[facet].T, tin.xyz[tin.facets[facet, 0]].T
+    distance = (z - (c + a * (x - x0) + b * (y - y0))) / np.sqrt(1.0 + a * a + b * b)
+    corners = tin.xyz[tin.facets, :2]
+    edge = np.hypot(*(corners - np.roll(corners, 1, axis=1)).transpose(2, 0, 1)).min(axis=1)[facet]
+    distance[facet < 0], edge[facet < 0] = np.nan, np.nan
     return distance, edge
-
-
-@njit()
-def _heights_above(
-    xyz: NDArray[np.float64],
-    facets: NDArray[np.int32],
-    neighbours: NDArray[np.int32],
-    planes: NDArray[np.float64],
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    z: NDArray[np.float64],
-    distance: NDArray[np.float64],
-    edge: NDArray[np.float64],
-) -> None:
-    # Many points share a facet: what is its own is reckoned once.
-    norm, shortest = np.empty(len(facets)), np.empty(len(facets))
-    for t in range(len(facets)):
-        norm[t] = np.sqrt(1.0 + planes[t, 0] * planes[t, 0] + planes[t, 1] * planes[t, 1])
-        shortest[t] = np.inf
-        for k in range(3):
-            a, b = facets[t, k], facets[t, (k + 1) % 3]
-            length = np.hypot(xyz[a, 0] - xyz[b, 0], xyz[a, 1] - xyz[b, 1])
-            shortest[t] = min(shortest[t], length)
-    last = 0
-    for i in range(len(x)):
-        found, last = locate_one(xyz, facets, neighbours, x[i], y[i], last)
-        if found < 0:
-            distance[i], edge[i] = np.nan, np.nan
-            continue
-        found = first_of(xyz, facets, neighbours, x[i], y[i], found)
-        first = facets[found, 0]
-        east, north = planes[found, 0], planes[found, 1]
-        rise = east * (x[i] - xyz[first, 0])
-        below = planes[found, 2] + rise + north * (y[i] - xyz[first, 1])
-        distance[i] = (z[i] - below) / norm[found]
-        edge[i] = shortest[found]

@@ -19,7 +19,6 @@ from spl_batch.airborne.ground.multiscale.near_surface import (
     within,
 )
 from spl_batch.airborne.ground.multiscale.node_planes import under_planes, without_plants
-from spl_batch.airborne.ground.multiscale.raised_patches import on_houses
 from spl_batch.airborne.ground.multiscale.ranging_layer import EVERYWHERE
 from spl_batch.airborne.ground.multiscale_surface import (
     ABOVE_SIGMA,
@@ -99,12 +98,11 @@ def multiscale_mask(places: Place, own: Mask, asked: Mask, sigma: Blocks = EVERY
     heights = depths_below(-0.5 * off_m, x[at], y[at], no_depths(*evidence[:2]))
     rough_m = np.where(ends_within(heights, 0.5 * ABOVE_SIGMA * rough_m), rough_m, 0.0)
     sigma_m = np.maximum(sigma.over(depths.first, depths.values.shape[:2]), rough_m)
-    reach = (
-        ABOVE_SIGMA * np.maximum(spread_below(depths, MOST), sigma_m),
-        _BELOW_SIGMA * np.maximum(spread_below(depths, _TAIL), sigma_m),
-        depths.first,
+    reach = tuple(
+        Blocks(spreads * np.maximum(spread_below(depths, share), sigma_m), depths.first)
+        for spreads, share in ((ABOVE_SIGMA, MOST), (_BELOW_SIGMA, _TAIL))
     )
-    within(near, (x, y), apart, reach, _BAND_SPACINGS, found)
+    found[near.at] = within(near, (x, y), apart, reach, _BAND_SPACINGS)
     judged, by_place = np.empty((2, len(x)), np.bool_)
     judged[order], by_place[order] = found, asked
     return judged[by_place]
@@ -127,7 +125,6 @@ def _ground_surface(evidence: Place, apart: Blocks, sigma: Blocks) -> tuple[Surf
     grid = lowest_nodes(xyz, chosen, CELL_M)
     nearest = nearest_node(grid)
     ground = grown(xyz, grid, nearest, ground_nodes(xyz, high, grid, nearest), CELL_M)
-    ground &= ~on_houses(xyz, ground)
     ground[ground] = ~under_planes(xyz[ground], filled[ground], doubtful[ground])
     x, y, _ = xyz[ground].T
     nodes, off = without_plants(xyz[ground], apart.at(x, y))
