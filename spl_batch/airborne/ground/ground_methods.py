@@ -13,23 +13,15 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from spl_batch.airborne.beams.dependent_returns import dependents
-from spl_batch.airborne.ground.ground_seeds import (
-    Start,
-    first_true,
-    lowest_grid,
-    seen_through,
-    start,
-    sunk,
-    supported,
-)
+from spl_batch.airborne.ground.ground_seeds import Start, believed, first_true, start
 from spl_batch.airborne.ground.lowest_layers import lowest_layers
 from spl_batch.airborne.ground.multiscale.masks import multiscale_mask
 from spl_batch.airborne.ground.multiscale.ranging_layer import (
     EVERYWHERE,
     SIGMA_M,
-    evidence,
     reckoned,
 )
+from spl_batch.airborne.ground.node_grids import lowest_nodes
 from spl_batch.airborne.ground.point_spacing import Blocks, spacings_m
 from spl_batch.airborne.ground.ptd import Limits, densify, heights_above
 from spl_batch.airborne.ground.smrf import provisional_terrain
@@ -226,11 +218,9 @@ def smrf_mask(own: Points, asked: Points, settings: SmrfSettings) -> NDArray[np.
     """
     cells = group_by_cell(own.x, own.y, settings.cell_m)
     nodes = lowest_layers(*own, cells, settings.layer_m)
-    below = sunk(nodes, cells, settings.cell_m)
-    believed = supported(nodes, cells, settings.cell_m) & ~below
-    leaves = seen_through(nodes, believed, cells, settings.cell_m)
-    trusted = first_true((~nodes.doubtful & ~below & ~leaves,))
-    lowest = lowest_grid(nodes, trusted, cells)
+    trusted = first_true((believed(nodes, cells, settings.cell_m) & ~nodes.doubtful,))
+    found = lowest_nodes(nodes.xyz, trusted, settings.cell_m)
+    lowest = np.where(found >= 0, nodes.xyz[found, 2], np.nan)
     terrain = provisional_terrain(lowest, settings.cell_m, settings.slope, settings.window_m)
     column = asked.x / settings.cell_m - np.floor(own.x.min() / settings.cell_m) - 0.5
     row = asked.y / settings.cell_m - np.floor(own.y.min() / settings.cell_m) - 0.5
@@ -256,7 +246,7 @@ def _multiscale(cloud: Cloud, _: GroundSettings) -> Mask:
     points, own, asked, sigma_m = cloud
     sigma = EVERYWHERE
     if sigma_m is not None and sigma_m[own].max() > SIGMA_M:
-        sigma = reckoned(evidence(*cloud.some(own), sigma_m[own]))
+        sigma = reckoned(*cloud.some(own), sigma_m[own])
     return multiscale_mask(points, own, asked, sigma)
 
 

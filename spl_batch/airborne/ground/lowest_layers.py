@@ -30,6 +30,12 @@ _CLEAR_M = 1.5
 tilt of 35 degrees gives it in a cell of 1 m, and this share of what lies between the node
 below it and this height above it. Leaves fill twice the thickness, and do not pass."""
 
+_AGREEING = 2
+_REACH = 2
+_STEP_M = 0.25
+_STEP_SLOPE = 0.35
+"""So many nodes of other cells, up to so many cells off, continue one within so much and so much
+more for each unit of distance [count, edges, m, rise/run]."""
 
 Mask = NDArray[np.bool_]
 
@@ -205,73 +211,40 @@ def _layer_mean(
     return n
 
 
-class Rule(NamedTuple):
-    """Which nodes of the cells around speak for or against one: by how far they are above it."""
-
-    reach: int  #: Cells to look at on each side, and farthest neighbour [count, edges].
-    step_m: float  #: Height from which on a node is another's, on level ground [m].
-    slope: float  #: More of it for each unit of distance [rise/run].
-
-
-def count_around(
-    nodes: Nodes, chosen: Mask, cells: Cells, cell_m: float, rule: Rule, *,
-    below: bool, asked: Mask | None = None, enough: int | None = None,
-) -> NDArray[np.int64]:  # fmt: skip
-    """Chosen nodes around each node that continue its surface, or that lie clearly below it.
+def continued(nodes: Nodes, cells: Cells, cell_m: float) -> Mask:
+    """Nodes that others around continue, as those along the contour do on any slope: (m,) bool.
 
     Parameters
     ----------
     nodes : Nodes
         All nodes, in order of their cells.
-    chosen : (m,) bool
-        Nodes that count.
     cells : Cells
         The grid.
     cell_m : float
         Edge of a cell [m].
-    rule : Rule
-        At distance d nodes continue each other within ``step_m + slope d``.
-    below : bool
-        Whether nodes farther below count, in the own cell as well; else those that continue it in
-        other cells, along the contour at least.
-    asked : (m,) bool, optional
-        Nodes whose neighbours are counted, all by default; for others it is 0.
-    enough : int, optional
-        No row of cells is looked at where so many count already [count].
     """
-    out, picked = np.zeros(len(chosen), np.int64), np.flatnonzero(chosen)
-    which = np.arange(len(out)) if asked is None else np.flatnonzero(asked)
-    most = len(out) if enough is None else enough
-    grid = cells.rows, cells.columns
-    _count_around(nodes.xyz, nodes.cell, which, picked, grid, cell_m, rule, below, most, out)
+    first = np.searchsorted(nodes.cell, np.arange(cells.rows * cells.columns + 1))
+    out = np.empty(len(nodes.cell), np.bool_)
+    _continued(nodes.xyz, nodes.cell, first, (cells.rows, cells.columns), cell_m, out)
     return out
 
 
 @njit()
-def _count_around(
-    xyz: NDArray[np.float64], cell: NDArray[np.int64], which: NDArray[np.int64],
-    picked: NDArray[np.int64], grid: tuple[int, int], cell_m: float, rule: Rule,
-    below: bool,  # noqa: FBT001 - a kernel takes no keywords
-    most: int, out: NDArray[np.int64],
+def _continued(
+    xyz: NDArray[np.float64], cell: NDArray[np.int64], first: NDArray[np.int64],
+    grid: tuple[int, int], cell_m: float, out: NDArray[np.bool_],
 ) -> None:  # fmt: skip
-    """Fill for some nodes with how many of those picked count."""
+    """Fill; ``first``: the first node of each cell."""
     rows, columns = grid
-    first = np.full(rows * columns, -1, np.int64)  # of those picked in each cell
-    for k in range(len(picked) - 1, -1, -1):
-        first[cell[picked[k]]] = k
-    for i in which:
-        r, c, z = cell[i] // columns, cell[i] % columns, xyz[i, 2]
-        for rr in range(max(r - rule.reach, 0), min(r + rule.reach + 1, rows)):
-            if out[i] >= most:
-                break
-            for cc in range(max(c - rule.reach, 0), min(c + rule.reach + 1, columns)):
+    for i in range(len(cell)):
+        r, c, count = cell[i] // columns, cell[i] % columns, 0
+        for rr in range(max(r - _REACH, 0), min(r + _REACH + 1, rows)):
+            for cc in range(max(c - _REACH, 0), min(c + _REACH + 1, columns)):
                 other = rr * columns + cc
-                k = first[other] if below or other != cell[i] else -1
-                while 0 <= k < len(picked) and cell[picked[k]] == other:
-                    j = picked[k]
+                if other == cell[i]:
+                    continue
+                for j in range(first[other], first[other + 1]):
                     d = np.sqrt((xyz[j, 0] - xyz[i, 0]) ** 2 + (xyz[j, 1] - xyz[i, 1]) ** 2)
-                    if d <= rule.reach * cell_m:
-                        limit_m = rule.step_m + rule.slope * d
-                        rise_m = xyz[j, 2] - z
-                        out[i] += rise_m < -limit_m if below else abs(rise_m) <= limit_m
-                    k += 1
+                    if d <= _REACH * cell_m:
+                        count += abs(xyz[j, 2] - xyz[i, 2]) <= _STEP_M + _STEP_SLOPE * d
+        out[i] = count >= _AGREEING

@@ -14,22 +14,19 @@ Deviations from the sources:
 - **Empty cells take the nearest node**, so that a wall stays as steep as it is.
 - **A fall of more than** :data:`STEP_M` from one window to the next is an object's at any radius.
 - **Low outliers** are told among the lowest nodes of :data:`PIT_CELL_M`: a node far below the third
-  lowest around is none of the ground's, also where several lie beside each other. On steep ground,
-  where cells differ by as much, heights above the trend tell a single one.
+  lowest around is none of the ground's, also where several lie beside each other.
 - **What counts as on the surface** follows from the spacing of the points, and from what ground
   nodes scatter *below* the surface (:func:`spread_below`): vegetation scatters them upwards only.
 """
 
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, special
 
-from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
-from spl_batch.airborne.ground.ground_trend import Trend, fit_trend, trend_at
 from spl_batch.airborne.ground.morphology import object_cells
-from spl_batch.airborne.ground.multiscale.ranging_layer import EVERYWHERE, STEEP
+from spl_batch.airborne.ground.multiscale.ranging_layer import EVERYWHERE
 from spl_batch.airborne.ground.node_grids import lowest_nodes, plane_heights
 from spl_batch.airborne.ground.point_spacing import BLOCK_M, Blocks, no_counts, quantiles
 from spl_batch.numerics.compiled import njit
@@ -47,10 +44,6 @@ _AGREE_SIGMA = (2.0, 4.0)
 
 _HIGH_SHARE = (0.3, 0.35)
 """With more such nodes than this share a block takes the coarser cell: of the same two kinds."""
-
-_WIDER = 1.3
-"""Spread of the lowest nodes of four cells over that of sixteen, where nothing grows: the lowest of
-more scatter less."""
 
 ABOVE_SIGMA: Final = 2.5
 """Ground reaches above a surface by so many spreads of most points below it, as plants stand
@@ -71,10 +64,9 @@ MOST: Final = 0.5
 PIT_CELL_M: Final = 4.0
 _PIT_SLOPE = 1.5
 _PIT_RANK = 3
-_PIT_ABOVE_TREND = 0.5
 _PIT_ROUNDS = 8
-"""A low outlier lies below the third lowest of the eight cells around by more than the first slope,
-or on steep ground, above the trend, below the lowest of them by more than the second one."""
+"""A low outlier lies below the third lowest of the eight cells around by more than this slope; so
+often those found are left out and the rest looked at again."""
 
 _DEPTH_M = 0.01
 _DEPTHS = 50
@@ -108,30 +100,22 @@ def low_outliers(xyz: Float) -> Mask:
     xyz : (n, 3) float64
         Nodes [m].
     """
-    x, y, z = xyz.T
     low = np.zeros(len(xyz), dtype=np.bool_)
     for _ in range(_PIT_ROUNDS):
-        lowest = lowest_nodes(xyz, ~low, PIT_CELL_M)
-        trend = fit_trend(xyz[np.sort(lowest[lowest >= 0])], x, y)
-        over = np.column_stack([x, y, z - trend_at(trend, x, y)])
-        found = _far_below(xyz, lowest, _PIT_RANK, _PIT_SLOPE)
-        found |= _steep(trend, STEEP, x, y) & _far_below(
-            over, lowest_nodes(over, ~low, PIT_CELL_M), 1, _PIT_ABOVE_TREND
-        )
-        found &= ~low
+        found = _far_below(xyz, lowest_nodes(xyz, ~low, PIT_CELL_M)) & ~low
         if not found.any():
             break
         low |= found
     return low
 
 
-def _far_below(xyz: Float, lowest: Index, rank: int, slope: float) -> Mask:
-    """Nodes lower by a slope than the lowest of so many cells around; ``lowest``: of each cell."""
+def _far_below(xyz: Float, lowest: Index) -> Mask:
+    """Nodes far below the third lowest of the cells around; ``lowest``: of each cell."""
     column, row, _ = _places(xyz, PIT_CELL_M)
     height = _heights(lowest, xyz[:, 2])
     around = _neighbours(np.where(np.isnan(height), np.inf, height))
-    around.partition(rank - 1, axis=0)
-    floor = around[rank - 1] - slope * PIT_CELL_M
+    around.partition(_PIT_RANK - 1, axis=0)
+    floor = around[_PIT_RANK - 1] - _PIT_SLOPE * PIT_CELL_M
     floor[np.isinf(floor)] = -np.inf
     found: Mask = xyz[:, 2] < floor[row, column]
     return found
@@ -145,31 +129,13 @@ def _neighbours(grid: Float) -> Float:
     return np.stack([wide[i : i + rows, j : j + columns] for i, j in steps])
 
 
-class _Scale(NamedTuple):
-    """Lowest nodes of cells of one size: their grid, they, and their spread by blocks [m]."""
-
-    cell_m: float
-    grid: Index
-    nodes: Index
-    spread: Float
-
-
-def _scale(xyz: Float, usable: Mask, cell_m: float) -> _Scale:
-    grid = lowest_nodes(xyz, usable, cell_m)
-    nodes = np.sort(grid[grid >= 0])
-    return _Scale(cell_m, grid, nodes, scatter_below(xyz, nodes, grid, cell_m))
-
-
 def agreeing_nodes(
     xyz: Float, usable: Mask, filled: Mask, sigma: Blocks = EVERYWHERE, cell_m: float = CELL_M
 ) -> tuple[Mask, Mask]:
     """Nodes of the scale that the data have, block by block, and which of them stand out.
 
     Starting with all nodes, a block goes on to the lowest nodes of cells twice as large while
-    more than a third of its nodes stand above the plane through the coarser ones around. Where
-    cells of either size hold shrubs alone the coarser nodes scatter as well: of blocks of layers
-    the cells of twice their size tell how far ground does, if that is less than they would have it
-    on bare ground.
+    more than a third of its nodes stand above the plane through the coarser ones around.
 
     Parameters
     ----------
@@ -199,24 +165,25 @@ def agreeing_nodes(
     first = lowest_nodes(xyz, usable, cell_m)
     current = np.sort(first[first >= 0])
     chosen, high = np.zeros((2, len(xyz)), dtype=np.bool_)
-    scales = [_scale(xyz, usable, 2.0**k * cell_m) for k in range(1, LEVELS + 1)]
-    for scale, wider in zip(scales, [*scales[1:], scales[-1]], strict=True):
+    for level in range(1, LEVELS + 1):
+        edge_m = 2.0**level * cell_m
+        grid = lowest_nodes(xyz, usable, edge_m)
+        coarser = np.sort(grid[grid >= 0])
         at = row[current], column[current]
         count, layers = (_in_blocks(at, of, shape) for of in (slice(None), filled[current]))
         thick = 2.0 * layers >= count
         many, most = (np.where(thick, *of) for of in (_AGREE_SIGMA, _HIGH_SHARE))
-        spread = np.where(thick, np.minimum(scale.spread, _WIDER * wider.spread), scale.spread)
-        spread = np.maximum(spread, sigma_m)
-        above = xyz[current, 2] - plane_heights(xyz, current, scale.grid, scale.cell_m)
+        spread = np.maximum(scatter_below(xyz, coarser, grid, edge_m), sigma_m)
+        above = xyz[current, 2] - plane_heights(xyz, current, grid, edge_m)
         disagree = above > np.minimum(many * spread, _AGREE_M)[at]
         share = _in_blocks(at, disagree, shape) / np.maximum(count, 1.0)
         stays = going & (share <= most)
         chosen[current[stays[at]]] = True
         grown = above > np.minimum(ABOVE_SIGMA * spread, _AGREE_M)[at]
         high[current[grown & (stays & thick)[at]]] = True
-        high[scale.nodes] = False
+        high[coarser] = False
         going &= ~stays
-        current = scale.nodes
+        current = coarser
     chosen[current[going[row[current], column[current]]]] = True
     return chosen, high
 
@@ -364,11 +331,3 @@ def ground_nodes(xyz: Float, high: Mask, grid: Index, nearest: Index) -> Mask:
     ground = np.zeros(len(xyz), dtype=np.bool_)
     ground[grid[(grid >= 0) & ~raised & ~high[grid]]] = True  # the lowest node is one
     return ground
-
-
-def _steep(trend: Trend, rise: float, x: Float, y: Float) -> Mask:
-    """Places where a trend rises by more than so much [rise/run]."""
-    squared = sum(np.gradient(trend.height, TREND_M, axis=axis) ** 2 for axis in (0, 1))
-    steepness = Trend(np.sqrt(np.asarray(squared)), trend.left, trend.bottom)
-    steep: Mask = trend_at(steepness, x, y) > rise
-    return steep

@@ -4,11 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from spl_batch.airborne.ground import ground_seeds
 from spl_batch.airborne.ground.ground_trend import REACH_M, STEP_M, fit_trend, trend_at
-from spl_batch.airborne.ground.lowest_layers import Nodes
-from spl_batch.airborne.settings import PtdSettings
-from spl_batch.numerics.cell_groups import group_by_cell
 from tests.airborne.ground.clouds import places
 
 Float = NDArray[np.float64]
@@ -66,14 +62,3 @@ def test_gaps_are_bridged() -> None:
     assert np.abs(trend_at(trend, x, y) - z).max() < 0.5
     one = fit_trend(np.array([[3.0, 4.0, 7.0]]), x, y)
     np.testing.assert_allclose(one.height, 7.0)
-
-
-def test_what_is_sunk_continues_nothing_above_a_trend(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Before the trend is known much that is sunk in deep shade is ground, and speaks for it."""
-    xyz = np.array([[0.5, 0.5, 7.0], [1.5, 0.5, 7.0], [2.5, 0.5, 7.0]])
-    none = np.zeros(3, np.bool_)
-    nodes = Nodes(xyz, np.arange(3), np.full(3, 5), none, none)
-    cells, settings = group_by_cell(xyz[:, 0], xyz[:, 1], 1.0), PtdSettings()
-    monkeypatch.setattr(ground_seeds, "sunk", lambda *_: np.array([True, False, True]))
-    assert ground_seeds._judge(nodes, cells, 1.0, settings).trusted.tolist() == [False, True, False]
-    assert not ground_seeds._judge(nodes, cells, 1.0, settings, xyz).trusted.any()

@@ -8,7 +8,7 @@ points and from how much the ground scatters.
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.ground.ground_seeds import sunk, supported
+from spl_batch.airborne.ground.ground_seeds import believed
 from spl_batch.airborne.ground.lowest_layers import SUPPORTED, lowest_layers
 from spl_batch.airborne.ground.multiscale.grown_ground import grown
 from spl_batch.airborne.ground.multiscale.near_surface import (
@@ -141,9 +141,6 @@ def _nodes(evidence: Place, sigma: Blocks) -> tuple[Float, Mask, Mask]:
     thin_m = _LAYER_SIGMA * sigma_m
     crowded = np.diff(cells.start) >= _CROWDED
     nodes = lowest_layers(x, y, z, cells, np.where(crowded, thin_m, np.maximum(thin_m, _LAYER_M)))
-    above = ~sunk(nodes, cells, CELL_M)
-    # A single return below many others is ground where its neighbours continue it, else noise.
-    if nodes.doubtful.any():
-        above &= ~nodes.doubtful | supported(nodes, cells, CELL_M)
+    above = believed(nodes, cells, CELL_M)
     filled = nodes.points >= SUPPORTED
     return nodes.xyz[above], filled[above], nodes.doubtful[above]
