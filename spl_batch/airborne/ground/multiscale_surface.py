@@ -58,15 +58,10 @@ STEP_M: Final = 2.0
 WINDOW_M: Final = 40.0
 """Radius of the largest window [m]."""
 
-MOST: Final = 0.5
-"""Share of the points below a surface that tells the spread of most of its points."""
-
 PIT_CELL_M: Final = 4.0
 _PIT_SLOPE = 1.5
 _PIT_RANK = 3
-_PIT_ROUNDS = 8
-"""A low outlier lies below the third lowest of the eight cells around by more than this slope; so
-often those found are left out and the rest looked at again."""
+"""A low outlier lies below the third lowest of the eight cells around by more than this slope."""
 
 _DEPTH_M = 0.01
 _DEPTHS = 50
@@ -100,18 +95,8 @@ def low_outliers(xyz: Float) -> Mask:
     xyz : (n, 3) float64
         Nodes [m].
     """
-    low = np.zeros(len(xyz), dtype=np.bool_)
-    for _ in range(_PIT_ROUNDS):
-        found = _far_below(xyz, lowest_nodes(xyz, ~low, PIT_CELL_M)) & ~low
-        if not found.any():
-            break
-        low |= found
-    return low
-
-
-def _far_below(xyz: Float, lowest: Index) -> Mask:
-    """Nodes far below the third lowest of the cells around; ``lowest``: of each cell."""
     column, row, _ = _places(xyz, PIT_CELL_M)
+    lowest = lowest_nodes(xyz, np.ones(len(xyz), np.bool_), PIT_CELL_M)
     height = _heights(lowest, xyz[:, 2])
     around = _neighbours(np.where(np.isnan(height), np.inf, height))
     around.partition(_PIT_RANK - 1, axis=0)
@@ -266,27 +251,24 @@ def noise_below(depths: Blocks) -> Blocks:
     return depths._replace(values=depths.values[..., :_DEPTHS])
 
 
-def spread_below(depths: Blocks, share: float) -> Float:
-    """Standard deviation of a surface's points, by the depth that a share of those below reach.
+def spread_below(depths: Blocks) -> Float:
+    """Standard deviation of a surface's points, by the median depth of those below.
 
     Ranging noise and rough ground scatter points to both sides of the surface, plants only upwards:
-    the lower side tells the spread of the ground. A half of them tells that of most points, a
-    larger share that of the tail.
+    the lower side tells the spread of the ground.
 
     Parameters
     ----------
     depths : Blocks
         Points below the surface, by :func:`depths_below`.
-    share : float
-        Share of them.
 
     Returns
     -------
     (block rows, block columns) float64
         For each block, of it and those around; 0 without points below [m].
     """
-    depth = _DEPTH_M * quantiles(_around(depths.values), share)
-    spread: Float = depth / (np.sqrt(2.0) * special.erfinv(share))
+    depth = _DEPTH_M * quantiles(_around(depths.values), 0.5)
+    spread: Float = depth / (np.sqrt(2.0) * special.erfinv(0.5))
     return spread
 
 
@@ -311,7 +293,7 @@ def scatter_below(xyz: Float, nodes: Index, grid: Index, cell_m: float) -> Float
     """
     off = np.zeros(len(xyz))
     off[nodes] = xyz[nodes, 2] - plane_heights(xyz, nodes, grid, cell_m, own=False)
-    return spread_below(depths_below(off, xyz[:, 0], xyz[:, 1]), MOST)
+    return spread_below(depths_below(off, xyz[:, 0], xyz[:, 1]))
 
 
 def ground_nodes(xyz: Float, high: Mask, grid: Index, nearest: Index) -> Mask:

@@ -23,7 +23,6 @@ from spl_batch.airborne.ground.multiscale.ranging_layer import EVERYWHERE
 from spl_batch.airborne.ground.multiscale_surface import (
     ABOVE_SIGMA,
     CELL_M,
-    MOST,
     agreeing_nodes,
     depths_below,
     ends_within,
@@ -44,9 +43,7 @@ _CROWDED = 20
 range], and least one in others, where fewer points fill it [m]."""
 
 _BELOW_SIGMA = 4.0
-_TAIL = 0.9
-"""Ground reaches below the surface by so many spreads of the tail of the points there, as nothing
-grows below."""
+"""Ground reaches below the surface by so many spreads of the points there: nothing grows below."""
 
 _BAND_SPACINGS = 0.25
 """So many spacings of the points: between them the ground is not known better."""
@@ -89,7 +86,7 @@ def multiscale_mask(places: Place, own: Mask, asked: Mask, sigma: Blocks = EVERY
     depths = no_depths(*evidence[:2])
     east, north = surface.nodes[:, :2].T
     rough = depths_below(off, east, north, no_depths(*evidence[:2]))
-    rough_m = _ROUGH * spread_below(noise_below(rough), MOST)
+    rough_m = _ROUGH * spread_below(noise_below(rough))
     near = near_surface(surface, (x, y, z), needed(x, y, own, asked, depths))
     mine = own[near.at]
     at, off_m = near.at[mine], near.off[mine]
@@ -98,10 +95,8 @@ def multiscale_mask(places: Place, own: Mask, asked: Mask, sigma: Blocks = EVERY
     heights = depths_below(-0.5 * off_m, x[at], y[at], no_depths(*evidence[:2]))
     rough_m = np.where(ends_within(heights, 0.5 * ABOVE_SIGMA * rough_m), rough_m, 0.0)
     sigma_m = np.maximum(sigma.over(depths.first, depths.values.shape[:2]), rough_m)
-    reach = tuple(
-        Blocks(spreads * np.maximum(spread_below(depths, share), sigma_m), depths.first)
-        for spreads, share in ((ABOVE_SIGMA, MOST), (_BELOW_SIGMA, _TAIL))
-    )
+    sigma_m = np.maximum(sigma_m, spread_below(depths))
+    reach = tuple(Blocks(many * sigma_m, depths.first) for many in (ABOVE_SIGMA, _BELOW_SIGMA))
     found[near.at] = within(near, (x, y), apart, reach, _BAND_SPACINGS)
     judged, by_place = np.empty((2, len(x)), np.bool_)
     judged[order], by_place[order] = found, asked
