@@ -127,7 +127,7 @@ def figures(tile: Tile, found: Mask) -> dict[str, float]:
     places = np.column_stack([v.ravel() for v in np.meshgrid(*axes)])
     ground = tile.xyz[tile.ground]
     near = np.isfinite(KDTree(ground[:, :2]).query(places, distance_upper_bound=FAR_M)[0])
-    off = _tin(tile.xyz[found], places[near]) - _tin(ground, places[near])
+    off = terrain_at(tile.xyz[found], places[near]) - terrain_at(ground, places[near])
     off = off[np.isfinite(off)]
     shares = {"roofs": tile.classes == 6, "shrubs": tile.classes == 4, "recall": tile.ground}
     of_classes = {name: share(found, mask) for name, mask in shares.items() if mask.any()}
@@ -140,7 +140,7 @@ def figures(tile: Tile, found: Mask) -> dict[str, float]:
     }
 
 
-def _tin(ground: Grid, places: Grid) -> Grid:
+def terrain_at(ground: Grid, places: Grid) -> Grid:
     """Height of the TIN through ground points at places, the lowest of each; NaN outside [m]."""
     order = np.lexsort(ground.T[::-1])
     _, first = np.unique(ground[order, :2], axis=0, return_index=True)

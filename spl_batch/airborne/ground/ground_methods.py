@@ -218,7 +218,7 @@ def smrf_mask(own: Points, asked: Points, settings: SmrfSettings) -> NDArray[np.
     """
     cells = group_by_cell(own.x, own.y, settings.cell_m)
     nodes = lowest_layers(*own, cells, settings.layer_m)
-    trusted = first_true((believed(nodes, cells, settings.cell_m) & ~nodes.doubtful,))
+    trusted = first_true((believed(nodes, cells, settings.cell_m),))
     found = lowest_nodes(nodes.xyz, trusted, settings.cell_m)
     lowest = np.where(found >= 0, nodes.xyz[found, 2], np.nan)
     terrain = provisional_terrain(lowest, settings.cell_m, settings.slope, settings.window_m)

@@ -32,7 +32,7 @@ class Start(NamedTuple):
     sunk : (m,) bool
         Nodes that are none of the ground's: below a hard surface, or in a pit.
     trusted : (m,) bool
-        Nodes that others continue, of enough returns.
+        Nodes that others continue.
     seed : (m,) bool
         Nodes to start from.
     """
@@ -58,7 +58,7 @@ def start(x: Float, y: Float, z: Float, cell_m: float, settings: PtdSettings) ->
     cells = group_by_cell(x, y, cell_m)
     nodes = lowest_layers(x, y, z, cells, settings.layer_m)
     below = sunk(nodes, cells, cell_m)
-    trusted = continued(nodes, cells, cell_m) & ~nodes.doubtful & ~below
+    trusted = ~below & continued(nodes, cells, cell_m)
     best = first_true((trusted, ~below))
     best = first_true((best & ~low_outliers(nodes.xyz), best))
     grid = lowest_nodes(nodes.xyz, best, cell_m)

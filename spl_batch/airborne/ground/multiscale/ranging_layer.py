@@ -1,8 +1,9 @@
 """How thick a layer of ground returns is: the ranging spread that a ground method reckons with.
 
-What sensors state is an upper figure: bare cells of real surveys scatter by half of it. A layer as
-thick as stated takes in grass and moss; one too thin loses returns of the ground under trees where
-their lowest returns step by metres, and there the stated spread counts.
+What sensors state holds errors that neighbouring returns share: bare cells of real surveys scatter
+by 2.5 cm where 5 are stated. A layer as thick as stated takes in grass and moss; one too thin loses
+returns of the ground under trees where their lowest returns step by metres, and there the stated
+spread counts.
 
 Each block of an absolute grid is judged by itself and the eight around it, which every ground cell
 that owns points of it has as a whole. What a cell or a survey is on the average decides nothing:
@@ -21,6 +22,9 @@ from spl_batch.airborne.ground.point_spacing import BLOCK_M, Blocks, no_counts
 SIGMA_M: Final = 0.025
 """Least standard deviation of a range that is reckoned with: that of bare cells of real surveys
 [m]."""
+
+SHARED_M: Final = float(np.sqrt(0.05**2 - SIGMA_M**2))
+"""Standard deviation of what neighbouring returns share, where 5 cm are stated [m]."""
 
 STEEP: Final = 0.7
 """Rise between the lowest returns of a block's quarters, over their edge, at which it is steep: 35
@@ -48,8 +52,8 @@ def reckoned(x: Float, y: Float, z: Float, stated_m: NDArray[np.floating]) -> Bl
     Returns
     -------
     Blocks
-        (rows, columns) float64: half of what is stated on even ground, all of it on steep ground,
-        :data:`SIGMA_M` at least [m].
+        (rows, columns) float64: what is stated on steep ground, on even ground without the errors
+        that neighbours share, variance by variance, and :data:`SIGMA_M` at least [m].
     """
     counts, first = no_counts(x, y, 1)
     rows, columns = counts.shape[:2]
@@ -71,4 +75,5 @@ def reckoned(x: Float, y: Float, z: Float, stated_m: NDArray[np.floating]) -> Bl
     none, alone = STEEP_SHARE
     share = np.clip((steep_around / np.maximum(around, 1.0) - none) / (alone - none), 0.0, 1.0)
     stated = ndimage.maximum_filter(most, 3, mode="constant")
-    return Blocks(np.maximum(SIGMA_M, stated * (1.0 + share) / 2.0), first)
+    own = np.sqrt(np.maximum(stated**2 - SHARED_M**2, 0.0))
+    return Blocks(np.maximum(SIGMA_M, own + share * (stated - own)), first)
