@@ -58,6 +58,9 @@ STEP_M: Final = 2.0
 WINDOW_M: Final = 40.0
 """Radius of the largest window [m]."""
 
+MOST: Final = 0.5
+"""Share of the points below a surface that tells the spread of most of its points."""
+
 PIT_CELL_M: Final = 4.0
 _PIT_SLOPE = 1.5
 _PIT_RANK = 3
@@ -251,24 +254,27 @@ def noise_below(depths: Blocks) -> Blocks:
     return depths._replace(values=depths.values[..., :_DEPTHS])
 
 
-def spread_below(depths: Blocks) -> Float:
-    """Standard deviation of a surface's points, by the median depth of those below.
+def spread_below(depths: Blocks, share: float) -> Float:
+    """Standard deviation of a surface's points, by the depth that a share of those below reach.
 
     Ranging noise and rough ground scatter points to both sides of the surface, plants only upwards:
-    the lower side tells the spread of the ground.
+    the lower side tells the spread of the ground. A half of them tells that of most points, a
+    larger share that of the tail.
 
     Parameters
     ----------
     depths : Blocks
         Points below the surface, by :func:`depths_below`.
+    share : float
+        Share of them.
 
     Returns
     -------
     (block rows, block columns) float64
         For each block, of it and those around; 0 without points below [m].
     """
-    depth = _DEPTH_M * quantiles(_around(depths.values), 0.5)
-    spread: Float = depth / (np.sqrt(2.0) * special.erfinv(0.5))
+    depth = _DEPTH_M * quantiles(_around(depths.values), share)
+    spread: Float = depth / (np.sqrt(2.0) * special.erfinv(share))
     return spread
 
 
@@ -293,7 +299,7 @@ def scatter_below(xyz: Float, nodes: Index, grid: Index, cell_m: float) -> Float
     """
     off = np.zeros(len(xyz))
     off[nodes] = xyz[nodes, 2] - plane_heights(xyz, nodes, grid, cell_m, own=False)
-    return spread_below(depths_below(off, xyz[:, 0], xyz[:, 1]))
+    return spread_below(depths_below(off, xyz[:, 0], xyz[:, 1]), MOST)
 
 
 def ground_nodes(xyz: Float, high: Mask, grid: Index, nearest: Index) -> Mask:

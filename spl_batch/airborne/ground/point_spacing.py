@@ -3,7 +3,6 @@
 Ground cells agree on blocks where they overlap, and counts of parts of a cell add up.
 """
 
-import math
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -60,38 +59,21 @@ def no_counts(x: Float, y: Float, kinds: int) -> Blocks:
     return Blocks(counts, (bottom, left))
 
 
-def count_points(x: Float, y: Float) -> Blocks:
-    """Count n > 0 points by blocks."""
-    cells = group_by_cell(x, y, BLOCK_M)
-    first = int(np.floor(y.min() / BLOCK_M)), int(np.floor(x.min() / BLOCK_M))
-    return Blocks(np.diff(cells.start).reshape(cells.rows, cells.columns), first)
-
-
-def spacing_m(x: Float, y: Float) -> float:
-    """Mean spacing of points where there are any, voids left out [m].
-
-    Parameters
-    ----------
-    x, y : (n,) float64
-        Places [m]; n > 0.
-    """
-    return BLOCK_M * math.sqrt(np.count_nonzero(count_points(x, y).values) / len(x))
-
-
 def spacings_m(x: Float, y: Float) -> Blocks:
     """Mean spacing of n > 0 points in each block and those around, voids left out [m].
 
     For two more blocks on each side as well; the outermost have no points around, as places farther
     out have none: there it is :data:`BLOCK_M`.
     """
-    counted = count_points(x, y)
-    around = np.pad(counted.values, 2)
+    cells = group_by_cell(x, y, BLOCK_M)
+    around = np.pad(np.diff(cells.start).reshape(cells.rows, cells.columns), 2)
     points, held = (
         sum(np.roll(values, (i, j), axis=(0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1))
         for values in (around, (around > 0).astype(np.int64))
     )
     spacing = BLOCK_M * np.sqrt(np.maximum(held, 1) / np.maximum(points, 1))
-    return Blocks(spacing, (counted.first[0] - 2, counted.first[1] - 2))
+    bottom, left = (int(np.floor(v.min() / BLOCK_M)) - 2 for v in (y, x))
+    return Blocks(spacing, (bottom, left))
 
 
 def quantiles(counts: NDArray[Any], share: float) -> Float:

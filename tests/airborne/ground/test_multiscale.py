@@ -130,12 +130,13 @@ def test_under_crowns_nodes_are_those_of_larger_cells() -> None:
     assert leaf[nodes][shade].mean() < 0.2
 
 
-def test_spread_is_that_of_the_noise_whatever_grows_above() -> None:
+@pytest.mark.parametrize("share", [0.5, 0.9])
+def test_spread_is_that_of_the_noise_whatever_grows_above(share: float) -> None:
     x, y = places(20_000, 64)
     rng = np.random.default_rng(4)
     off = rng.normal(0, 0.04, len(x))
     off += np.where(rng.random(len(x)) < 0.7, rng.uniform(0.2, 1.5, len(x)), 0.0)
-    assert spread_below(depths_below(off, x, y)) == pytest.approx(0.04, rel=0.15)
+    assert spread_below(depths_below(off, x, y), share) == pytest.approx(0.04, rel=0.15)
 
 
 def test_roofs_of_a_thinned_town_are_no_ground() -> None:

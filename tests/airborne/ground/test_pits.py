@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from spl_batch.airborne.ground.lowest_layers import lowest_layers
 from spl_batch.airborne.ground.pits import in_pits
-from spl_batch.airborne.ground.point_spacing import spacing_m, spacings_m
+from spl_batch.airborne.ground.point_spacing import spacings_m
 from spl_batch.airborne.ground.smrf import fill_gaps
 from spl_batch.lattice.tables import PointTable
 from spl_batch.numerics.cell_groups import group_by_cell
@@ -202,13 +202,6 @@ def test_filled_gaps_do_not_depend_on_what_else_is_in_sight() -> None:
     cutout = fill_gaps(surface[20:, 10:])
     whole = fill_gaps(surface)[40:-10, 30:-10]
     np.testing.assert_allclose(cutout[20:-10, 20:-10], whole, atol=1e-9)
-
-
-def test_mean_spacing_leaves_voids_out() -> None:
-    x, y = (v.ravel() for v in np.meshgrid(np.arange(0.25, 32, 0.5), np.arange(0.25, 32, 0.5)))
-    assert spacing_m(x, y) == pytest.approx(0.5)
-    far = np.concatenate([x, x + 1600]), np.concatenate([y, y])
-    assert spacing_m(*far) == pytest.approx(0.5)
 
 
 def test_spacing_around_a_place_is_that_of_nine_squares_whatever_else_is_in_sight() -> None:

@@ -19,10 +19,12 @@ from spl_batch.airborne.ground.multiscale.near_surface import (
     within,
 )
 from spl_batch.airborne.ground.multiscale.node_planes import under_planes, without_plants
+from spl_batch.airborne.ground.multiscale.raised_patches import on_houses
 from spl_batch.airborne.ground.multiscale.ranging_layer import EVERYWHERE
 from spl_batch.airborne.ground.multiscale_surface import (
     ABOVE_SIGMA,
     CELL_M,
+    MOST,
     agreeing_nodes,
     depths_below,
     ends_within,
@@ -43,7 +45,9 @@ _CROWDED = 20
 range], and least one in others, where fewer points fill it [m]."""
 
 _BELOW_SIGMA = 4.0
-"""Ground reaches below the surface by so many spreads of the points there: nothing grows below."""
+_TAIL = 0.9
+"""Ground reaches below the surface by so many spreads of the tail of the points there, as nothing
+grows below."""
 
 _BAND_SPACINGS = 0.25
 """So many spacings of the points: between them the ground is not known better."""
@@ -86,7 +90,7 @@ def multiscale_mask(places: Place, own: Mask, asked: Mask, sigma: Blocks = EVERY
     depths = no_depths(*evidence[:2])
     east, north = surface.nodes[:, :2].T
     rough = depths_below(off, east, north, no_depths(*evidence[:2]))
-    rough_m = _ROUGH * spread_below(noise_below(rough))
+    rough_m = _ROUGH * spread_below(noise_below(rough), MOST)
     near = near_surface(surface, (x, y, z), needed(x, y, own, asked, depths))
     mine = own[near.at]
     at, off_m = near.at[mine], near.off[mine]
@@ -95,9 +99,11 @@ def multiscale_mask(places: Place, own: Mask, asked: Mask, sigma: Blocks = EVERY
     heights = depths_below(-0.5 * off_m, x[at], y[at], no_depths(*evidence[:2]))
     rough_m = np.where(ends_within(heights, 0.5 * ABOVE_SIGMA * rough_m), rough_m, 0.0)
     sigma_m = np.maximum(sigma.over(depths.first, depths.values.shape[:2]), rough_m)
-    sigma_m = np.maximum(sigma_m, spread_below(depths))
-    reach = tuple(Blocks(many * sigma_m, depths.first) for many in (ABOVE_SIGMA, _BELOW_SIGMA))
-    found[near.at] = within(near, (x, y), apart, reach, _BAND_SPACINGS)
+    above, below = (
+        Blocks(many * np.maximum(spread_below(depths, share), sigma_m), depths.first)
+        for many, share in ((ABOVE_SIGMA, MOST), (_BELOW_SIGMA, _TAIL))
+    )
+    found[near.at] = within(near, (x, y), apart, (above, below), _BAND_SPACINGS)
     judged, by_place = np.empty((2, len(x)), np.bool_)
     judged[order], by_place[order] = found, asked
     return judged[by_place]
@@ -120,6 +126,7 @@ def _ground_surface(evidence: Place, apart: Blocks, sigma: Blocks) -> tuple[Surf
     grid = lowest_nodes(xyz, chosen, CELL_M)
     nearest = nearest_node(grid)
     ground = grown(xyz, grid, nearest, ground_nodes(xyz, high, grid, nearest), CELL_M)
+    ground &= ~on_houses(xyz, ground)
     ground[ground] = ~under_planes(xyz[ground], filled[ground], doubtful[ground])
     x, y, _ = xyz[ground].T
     nodes, off = without_plants(xyz[ground], apart.at(x, y))
