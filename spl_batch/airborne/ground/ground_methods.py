@@ -19,6 +19,7 @@ from spl_batch.airborne.ground.multiscale.masks import multiscale_mask
 from spl_batch.airborne.ground.multiscale.ranging_layer import (
     EVERYWHERE,
     SIGMA_M,
+    evidence,
     reckoned,
 )
 from spl_batch.airborne.ground.node_grids import lowest_nodes
@@ -246,7 +247,7 @@ def _multiscale(cloud: Cloud, _: GroundSettings) -> Mask:
     points, own, asked, sigma_m = cloud
     sigma = EVERYWHERE
     if sigma_m is not None and sigma_m[own].max() > SIGMA_M:
-        sigma = reckoned(*cloud.some(own), sigma_m[own])
+        sigma = reckoned(evidence(*cloud.some(own), sigma_m[own]))
     return multiscale_mask(points, own, asked, sigma)
 
 
