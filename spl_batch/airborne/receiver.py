@@ -30,7 +30,7 @@ from spl_batch.airborne.plan.inputs.findings import (
     points_astray,
     refuse_empty_area,
 )
-from spl_batch.airborne.plan.inputs.survey_inputs import gather_inputs
+from spl_batch.airborne.plan.inputs.survey_inputs import Inputs, gather_inputs
 from spl_batch.airborne.plan.strip_tasks import is_one_flightline
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import surface_reach_m
@@ -40,16 +40,13 @@ from spl_batch.airborne.report.model import Report
 from spl_batch.airborne.report.verdicts import screen_summary
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.store.raster_cells import create_raster_store
-from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.flow.warm_up import Work
 from spl_batch.engine.report.run_record import Receipts, RunFacts
-from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.tasks.input_changes import stamp_if_there
-from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.tasks.step import Step
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.engine.verbs.receiver import FirstLook, Limits, Place, Prepared, Receiver
+from spl_batch.engine.verbs.receiver import FirstLook, Prepared, Receiver
 from spl_batch.errors import WorkflowError, grouped, told_together
 from spl_batch.formats.las.header import waveform_file
 from spl_batch.formats.las.reader import promised_points
@@ -59,8 +56,8 @@ from spl_batch.lattice.tiles import quanta
 class Imaging(Receiver[Survey, Context]):
     """Flightlines to classified clouds, terrain and surface rasters."""
 
-    workflow: ClassVar[type[BaseWorkflow]] = Workflow
-    noun: ClassVar[str] = "airborne survey"
+    ledger = Survey
+    context = Context
     delivered: ClassVar[tuple[str, ...]] = (
         *("laz/**/*", "tiles/*", "copc/**/*", "reprojected/**/*", f"{STAC}/*.json"),
         *(VIRTUAL, INDEX, CONTOURS, f"{CLIENT_TILES}/*"),
@@ -72,16 +69,9 @@ class Imaging(Receiver[Survey, Context]):
         """Compiles a share of the kernels."""
         return compile_share
 
-    def prepare(
-        self, workflow: Workflow, place: Place, limits: Limits
-    ) -> Prepared[Survey, Context]:
+    def gather(self, workflow: Workflow, base: Path, output: Path) -> Inputs:
         """Find and check every file of a workflow, from headers alone."""
-        _check_cells(workflow, place.workflow)
-        inputs = gather_inputs(workflow, place.base, place.output)
-        crs_wkt = inputs.crs.to_wkt() if inputs.crs is not None else ""
-        context = Context(workflow, place.base, place.output, crs_wkt, code_version(workflow.kind))
-        survey = Survey(inputs, workflow, limits.memory_bytes, limits.workers)
-        return Prepared(self, survey, context)
+        return gather_inputs(workflow, base, output)
 
     def cost(self, prepared: Prepared[Survey, Context]) -> SurveyCost:
         """What a run is expected to cost."""
@@ -210,28 +200,6 @@ class Imaging(Receiver[Survey, Context]):
 
 RECEIVER: Final[Receiver[Any, Any]] = Imaging()
 """The one there is."""
-
-
-def _check_cells(workflow: Workflow, path: Path) -> None:
-    """Edges are whole millimetres, and raster cells fill a ground cell."""
-    edges = {
-        "tiling.tile_m": workflow.tiling.tile_m,
-        "ground.cell_m": workflow.ground.cell_m,
-        "products.cell_m": workflow.products.cell_m,
-        "noise.voxel_m": workflow.noise.voxel_m,
-    }
-    faults = [
-        f"{key}: {edge:g} is not a whole number of millimetres"
-        for key, edge in edges.items()
-        if quanta(edge) < 1 or abs(edge * QUANTA_PER_M - quanta(edge)) > 1e-6
-    ]
-    if not faults and quanta(workflow.ground.cell_m) % quanta(workflow.products.cell_m):
-        faults.append(
-            f"ground.cell_m ({workflow.ground.cell_m:g}) must be a whole multiple of "
-            f"products.cell_m ({workflow.products.cell_m:g})"
-        )
-    if faults:
-        raise WorkflowError(f"{path}: {'; '.join(faults)}")
 
 
 def _swath_findings(step: Step, survey: Survey) -> Iterator[Finding]:

@@ -13,7 +13,6 @@ from spl_batch.altimetry.tasks.context import Context
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.budget import Cost
 from spl_batch.engine.report.run_record import Receipts, RunFacts
-from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.tasks.step import Step
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs.receiver import FirstLook, Prepared, Receiver, none_usable
@@ -23,8 +22,6 @@ from spl_batch.errors import grouped
 class Altimetry(Receiver[Tracks, Context]):
     """Photon files to labels and profiles."""
 
-    workflow: ClassVar[type[BaseWorkflow]] = TrackWorkflow
-    noun: ClassVar[str] = "photon profiles"
     delivered: ClassVar[tuple[str, ...]] = ("photons/**/*", "profiles/**/*", "hdf5/**/*")
 
     ledger = Tracks

@@ -7,7 +7,8 @@ from typing import Any, Final
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.flow.cluster import byte_count, machine_memory
 from spl_batch.engine.settings.workflow_file import load_any
-from spl_batch.engine.verbs.receiver import Limits, Place, Prepared, Receiver
+from spl_batch.engine.tasks.runner import code_version
+from spl_batch.engine.verbs.receiver import Prepared, Receiver
 from spl_batch.errors import WorkflowError, grouped, told_together
 from spl_batch.formats.files.atomic import real_path
 from spl_batch.receivers import receiver
@@ -63,22 +64,25 @@ def prepare(
             f"output: {workflow.output} is a URL: write a folder of this machine; "
             "outputs.store may lie on an object store"
         )
-    place = Place(path, base, real_path(base / workflow.output))
+    output = real_path(base / workflow.output)
     found: Receiver[Any, Any] = receiver(workflow.kind)
-    prepared = found.prepare(workflow, place, Limits(limit, max(workers, 1)))
-    prepared.ledger.shared = memory is None and not remote
+    inputs = found.gather(workflow, base, output)
+    crs = getattr(inputs, "crs", None)
+    crs_wkt = crs.to_wkt() if crs is not None else ""
+    context = found.context(workflow, base, output, crs_wkt, code_version(workflow.kind))
+    ledger = found.ledger(inputs, workflow, limit, max(workers, 1))
+    ledger.shared = memory is None and not remote
     total, there = max(workers, 1) * limit, machine_memory()
     if memory is not None and not remote and total > there:
         text = (
             f"--memory: the workers may take {grouped(total / 2**30, 1)} GiB together, this "
             f"machine has {grouped(there / 2**30, 1)} GiB; lower --memory or --workers"
         )
-        prepared.ledger.remarks = (Finding("E01", {"kind": "memory", "what": text}),)
-    inputs = prepared.ledger.inputs
+        ledger.remarks = (Finding("E01", {"kind": "memory", "what": text}),)
     if not inputs.sources:
         raise WorkflowError("no input is usable: " + "; ".join(told_together(inputs.bad)))
-    prepared.context.store.root  # noqa: B018 - a store that cannot be used is a fault found here
-    return prepared
+    context.store.root  # noqa: B018 - a store that cannot be used is a fault found here
+    return Prepared(found, ledger, context)
 
 
 def limit_bytes(memory: str | int | None, workers: int, *, remote: bool = False) -> int:

@@ -12,7 +12,7 @@ from spl_batch.engine.tasks.ledger import Shelf
 from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.verbs.conclusion import RunResult, result_of
 from spl_batch.engine.verbs.progress import forget_makers
-from spl_batch.engine.verbs.receiver import Place, Receiver
+from spl_batch.engine.verbs.receiver import Receiver
 from spl_batch.errors import DamagedError, SplBatchError, StoreError, refuse_without
 from spl_batch.formats.files.atomic import real_path
 from spl_batch.receivers import receiver, steps
@@ -67,11 +67,10 @@ def recalled(folder: Path) -> tuple[dict[str, Shelf], Any, RunFacts]:
         If what it has left is damaged.
     """
     kept = recall(folder)
-    file = Store(folder).local / RUN
-    workflow = parse_any(kept["workflow"], str(file))
+    workflow = parse_any(kept["workflow"], str(Store(folder).local / RUN))
     found: Receiver[Any, Any] = receiver(workflow.kind)
-    place = Place(file, Path(kept["base"]), folder)
-    context: RunContext[Any] = found.context(workflow, place, kept["crs_wkt"], kept["code"])
+    given = workflow, Path(kept["base"]), folder, kept["crs_wkt"], kept["code"]
+    context: RunContext[Any] = found.context(*given)
     if "facts" not in kept:
         raise _of_another_version(folder, kept["code"])
     facts = FACTS.validate_python(kept["facts"])

@@ -18,7 +18,6 @@ from spl_batch.engine.plan.input_files import check_keys, expand, name_below, re
 from spl_batch.engine.plan.worker_memory import WORKER_BASE_BYTES
 from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.report.verdict import card_rows
-from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.tasks.input_changes import stamp
 from spl_batch.engine.tasks.ledger import Ledger
 from spl_batch.engine.tasks.step import Step
@@ -183,8 +182,6 @@ Run = Prepared[L1Ledger, CoincidenceContext]
 class Coincidence(Receiver[L1Ledger, CoincidenceContext]):
     """Detections and looks to points."""
 
-    workflow: ClassVar[type[BaseWorkflow]] = CoincidenceWorkflow
-    noun: ClassVar[str] = "coincidence processing"
     delivered: ClassVar[tuple[str, ...]] = ("points/*",)
 
     ledger = L1Ledger

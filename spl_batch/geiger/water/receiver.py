@@ -15,7 +15,6 @@ from spl_batch.engine.plan.input_files import check_keys, expand, refuse_own, st
 from spl_batch.engine.plan.worker_memory import WORKER_BASE_BYTES
 from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.report.verdict import card_rows
-from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.ledger import Ledger
 from spl_batch.engine.tasks.step import Step
@@ -175,8 +174,6 @@ Run = Prepared[WaterLedger, WaterContext]
 class Water(Receiver[WaterLedger, WaterContext]):
     """Frames of time bins to surfaces, normals and rays."""
 
-    workflow: ClassVar[type[BaseWorkflow]] = WaterWorkflow
-    noun: ClassVar[str] = "water surface"
     delivered: ClassVar[tuple[str, ...]] = ("points/*", "surfaces/**/*")
 
     ledger = WaterLedger
