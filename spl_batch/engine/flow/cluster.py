@@ -14,8 +14,9 @@ from importlib.util import find_spec
 from typing import Any, Final
 
 from spl_batch.engine.flow.dask_flow import PATIENCE_S, OnDask, lost, workers_of
-from spl_batch.engine.flow.job import Handshake, InProcess, Observer, misfit
+from spl_batch.engine.flow.job import InProcess, Observer, misfit
 from spl_batch.engine.flow.warm_up import WarmUp
+from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.watch.events import WorkersReady
 from spl_batch.errors import StoppedError, WorkflowError
 
@@ -87,18 +88,20 @@ def refuse_no_address(scheduler: str | None) -> None:
 
 @contextlib.contextmanager
 def executor(
+    context: RunContext[Any],
     *,
     workers: int,
     memory_bytes: int,
     scheduler: str | None,
     observer: Observer,
-    handshake: Handshake,
     warm_up: WarmUp | None = None,
 ) -> Iterator[Executor]:
     """Give somewhere to run tasks; workers are started, or looked for, before the first of them.
 
     Parameters
     ----------
+    context : RunContext
+        What tasks are given; its code and its mark are what every worker has to find.
     workers : int
         Worker processes of a local cluster; 0 works in this process.
     memory_bytes : int
@@ -107,8 +110,6 @@ def executor(
         Address of a running scheduler, which is used instead.
     observer : Observer
         Notified of what happens to tasks and workers.
-    handshake : Handshake
-        What every worker has to find: this code, and the shared path.
     warm_up : WarmUp, optional
         What local workers do before their first task.
 
@@ -119,17 +120,17 @@ def executor(
         cannot do the work, and :class:`StoppedError` if the scheduler cannot be reached.
     """
     if scheduler is None and workers == 0:
-        yield InProcess(observer)
+        yield InProcess(context, observer)
         return
     stack = contextlib.ExitStack()
 
     def connect() -> Any:
-        client = _client(stack, handshake, workers, memory_bytes, scheduler)
+        client = _client(stack, context, workers, memory_bytes, scheduler)
         dashboard = str(client.dashboard_link or "") if find_spec("bokeh") else ""
         observer.tell(WorkersReady(scheduler or "", dashboard))
         return client
 
-    pool = OnDask(connect, observer, handshake, local=scheduler is None, warm_up=warm_up)
+    pool = OnDask(connect, context, observer, local=scheduler is None, warm_up=warm_up)
     try:
         yield pool
     finally:
@@ -140,7 +141,7 @@ def executor(
 
 def _client(
     stack: contextlib.ExitStack,
-    handshake: Handshake,
+    context: RunContext[Any],
     workers: int,
     memory_bytes: int,
     scheduler: str | None,
@@ -159,7 +160,7 @@ def _client(
             f"--scheduler {scheduler}: no answer ({error}); is `dask scheduler` running there?"
         ) from error
     if scheduler is not None:
-        check_workers(client, handshake, memory_bytes)
+        check_workers(client, context, memory_bytes)
     return client
 
 
@@ -208,14 +209,14 @@ def _deaf_children() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def check_workers(client: Any, handshake: Handshake, memory_bytes: int) -> None:
+def check_workers(client: Any, context: RunContext[Any], memory_bytes: int) -> None:
     """Refuse workers with other code, another file system or too little memory.
 
     Those that join later are checked by their first task.
     """
     try:
         found = workers_of(client)
-        faults = client.run(misfit, handshake, on_error="return")
+        faults = client.run(misfit, context, on_error="return")
     except (OSError, TimeoutError) as error:
         raise lost(error) from error
     except Exception as error:

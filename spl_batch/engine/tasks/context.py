@@ -23,6 +23,7 @@ class RunContext(Generic[W]):
     output: Path
     crs_wkt: str  #: CRS of what is processed as WKT; empty where none is known.
     code: str  #: Version of the code, part of every key.
+    mark: str = ""  #: What the lock file of the output holds while this run works there.
 
     @property
     def store(self) -> Store:

@@ -73,8 +73,6 @@ class Worklist:
         open_ = [need for need in task.needs if need not in found and not self._is_over(need[0])]
         if open_:
             return Job(task, "", tuple(open_), found)
-        if task.refused:
-            return Job(task, "refused")
         bound = self.step.bound(task, found)
         if bound is None:
             return None

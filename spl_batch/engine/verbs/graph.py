@@ -106,7 +106,7 @@ class Graph:
                 jobs.append(found)
                 points += weight
         if jobs:
-            self.pool.submit(jobs, self.prepared.context)
+            self.pool.submit(jobs)
         return one.head is not first
 
     def _can_begin(self, one: Worklist, task: Task) -> bool:
@@ -143,9 +143,9 @@ class Graph:
         """Take in what has come of a task."""
         task = self._pending[outcome.need]
         one, receipt = self._open[outcome.need[0]], outcome.receipt
-        job = one.job(task) if outcome.again else None
+        job = one.job(task) if outcome.again is not None else None
         if job is not None:
-            self.pool.submit([job], self.prepared.context)
+            self.pool.submit([job._replace(tried=outcome.again)])
             return
         del self._pending[outcome.need]
         one.pending -= 1

@@ -3,14 +3,14 @@
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 from spl_batch.engine.flow.cluster import executor, refuse_no_address
-from spl_batch.engine.flow.job import Handshake
 from spl_batch.engine.flow.warm_up import WarmUp
 from spl_batch.engine.plan.budget import Cost
-from spl_batch.engine.store.output_lock import lock_file, locked, was_stopped
+from spl_batch.engine.store.output_lock import locked, was_stopped
 from spl_batch.engine.tasks.step import stages
 from spl_batch.engine.verbs.conclusion import REST, RunResult, concluded, rested
 from spl_batch.engine.verbs.graph import Graph
@@ -97,6 +97,7 @@ def run(
     look = prepared.receiver.first_look(prepared)  # refuses what a plan refuses
     new, stopped = not output.exists(), was_stopped(output)
     with locked(output) as mark:
+        prepared = replace(prepared, context=replace(context, mark=mark))
         deliveries = usable(prepared, stopped=stopped)
         gone = [*gone_inputs(prepared, deliveries)]
         deliveries.begin(this_survey(prepared))
@@ -121,11 +122,11 @@ def run(
                 remove(context.store.local / REST)
             while result is None:
                 with executor(
+                    prepared.context,
                     workers=workers,
                     memory_bytes=prepared.ledger.memory_bytes,
                     scheduler=scheduler,
                     observer=progress,
-                    handshake=Handshake(kind, context.code, str(lock_file(output)), mark),
                     warm_up=warm_up,
                 ) as pool:
                     again = True
