@@ -17,10 +17,9 @@ if TYPE_CHECKING:
     from spl_batch.cli.view import watching
     from spl_batch.engine.verbs.beginning import Beginning, init
     from spl_batch.engine.verbs.comparing import ComparisonResult, compare
-    from spl_batch.engine.verbs.conclusion import RunResult
     from spl_batch.engine.verbs.planning import PlanSummary, plan
     from spl_batch.engine.verbs.reporting import report
-    from spl_batch.engine.verbs.running import run
+    from spl_batch.engine.verbs.running import RunResult, run
     from spl_batch.engine.verbs.simulation import simulate
 
 __all__ = [
@@ -60,7 +59,7 @@ _HOMES = {
     "rasterize": "spl_batch.airborne.arrays.surfaces",
     "ComparisonResult": "spl_batch.engine.verbs.comparing",
     "compare": "spl_batch.engine.verbs.comparing",
-    "RunResult": "spl_batch.engine.verbs.conclusion",
+    "RunResult": "spl_batch.engine.verbs.running",
     "run": "spl_batch.engine.verbs.running",
     "PlanSummary": "spl_batch.engine.verbs.planning",
     "plan": "spl_batch.engine.verbs.planning",

@@ -28,7 +28,7 @@ from spl_batch.engine.store.working_store import Store, write_receipt
 from spl_batch.engine.tasks import runner
 from spl_batch.engine.tasks.ledger import Shelf
 from spl_batch.engine.tasks.task import Receipt, Task
-from spl_batch.engine.tasks.worklist import Worklist
+from spl_batch.engine.verbs.graph import Worklist
 from spl_batch.lattice.density import from_counts
 from spl_batch.lattice.tiles import CellId
 

@@ -27,8 +27,7 @@ from spl_batch.engine.report.number_format import as_ascii, of_all
 from spl_batch.engine.settings.mistaken_file import refuse_urls
 from spl_batch.engine.store.working_store import Store, read_json, read_receipts, write_json
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.engine.verbs.conclusion import RunResult
-from spl_batch.engine.verbs.running import run
+from spl_batch.engine.verbs.running import RunResult, run
 from spl_batch.engine.watch.events import Listener, Note, ignore
 from spl_batch.errors import DamagedError, InputError, WorkflowError, grouped
 from spl_batch.formats.files.atomic import real_path, remove, replacing, write_bytes

@@ -17,7 +17,6 @@ from spl_batch.engine.findings import Finding, settled, table
 from spl_batch.engine.report.parts import Failure, FindingReport
 from spl_batch.engine.report.reported import reported
 from spl_batch.engine.report.run_record import StageCost
-from spl_batch.engine.store.deliveries import Deliveries
 from spl_batch.engine.store.working_store import (
     Store,
     append_log,
@@ -27,6 +26,7 @@ from spl_batch.engine.store.working_store import (
 from spl_batch.engine.tasks.ledger import Ledger
 from spl_batch.engine.tasks.step import Steps
 from spl_batch.engine.tasks.task import Need, Receipt, Task
+from spl_batch.engine.verbs.output_owner import Deliveries
 from spl_batch.engine.verbs.receiver import Prepared
 from spl_batch.engine.watch.events import (
     Compiling,

@@ -10,9 +10,9 @@ from spl_batch.engine.store.working_store import Store, read_receipt
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.ledger import Shelf
 from spl_batch.engine.tasks.runner import code_version
-from spl_batch.engine.verbs.conclusion import RunResult, result_of
 from spl_batch.engine.verbs.progress import forget_makers
 from spl_batch.engine.verbs.receiver import Receiver
+from spl_batch.engine.verbs.running import RunResult, result_of
 from spl_batch.errors import DamagedError, SplBatchError, StoreError, refuse_without
 from spl_batch.formats.files.atomic import real_path
 from spl_batch.receivers import receiver, steps

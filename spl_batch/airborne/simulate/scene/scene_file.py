@@ -18,7 +18,7 @@ from pyproj.exceptions import CRSError
 
 from spl_batch.airborne.sensors.sensor import Sensor, load_preset
 from spl_batch.engine.settings.base import Positive, Section
-from spl_batch.engine.settings.validation import validated
+from spl_batch.engine.settings.workflow_file import validated
 from spl_batch.engine.verbs.simulation import scene_of
 from spl_batch.errors import WorkflowError
 
