@@ -57,7 +57,6 @@ from spl_batch.engine.report.run_record import (
     input_file,
     performance,
     provenance,
-    remember,
 )
 from spl_batch.formats.geoid import grid_file
 from spl_batch.formats.rasters.parts import RasterPart, read_overview
@@ -119,7 +118,6 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         None if found is None else found.differences_m,
     )
     write_both(context.output, report, render(report, pictures))
-    remember(done, context, facts)
     return report
 
 

@@ -44,7 +44,8 @@ class Worklist:
         self.points = 0  #: Points that the tasks to do will handle [count].
         self.head: Task | None = None  #: The next one to do, once :meth:`advance` was called.
         self.awaited: Need | None = None  #: What keeps it from being handed out.
-        self.pending = 0  #: Tasks that are handed out and have not ended [count].
+        self.pending: dict[str, Task] = {}  #: Tasks that are handed out and have not ended.
+        self.missing: set[str] = set()  #: Tasks that failed or were left out.
         self._rest: Iterator[Task] | None = None
         self._left_out: set[str] = set()
         self.step, self._ledger, self._context, self._is_over = step, ledger, context, is_over
@@ -101,9 +102,7 @@ class Graph:
         self.prepared, self.pool, self.progress = progress.prepared, pool, progress
         self._steps = {step.name: step for step in steps}
         self._waiting, self._open = list(steps), dict[str, Worklist]()
-        self._missing: set[Need] = set()  # tasks of open steps that failed or were left out
         self._closed: set[str] = set()
-        self._pending: dict[Need, Task] = {}
 
     def run(self) -> None:
         """Do what is left to do."""
@@ -115,7 +114,7 @@ class Graph:
                 self._open_steps()
                 while self.pool.has_room and self._hand_out():
                     pass
-            if self._pending:
+            if any(one.pending for one in self._open.values()):
                 for outcome in self.pool.ended():
                     self._ended(outcome)
             elif self.progress.begins_again:
@@ -152,11 +151,12 @@ class Graph:
         work.advance()
         self._open[step.name] = work
 
-    def _settled(self, step: Step, task: Task, *, found: bool = False) -> None:
+    def _settled(self, one: Worklist, task: Task, *, found: bool = False) -> None:
         """Report that a task needs no doing: it was finished, or misses what it needs."""
         if not found:
-            self._missing.add((step.name, task.name))
-        self.progress.tell(TaskSettled(step.stage, step.name, task.name, task.points, found))
+            one.missing.add(task.name)
+        stage = one.step.stage
+        self.progress.tell(TaskSettled(stage, task.kind, task.name, task.points, found))
 
     def _hand_out(self) -> bool:
         """Hand out a batch of tasks, of the latest step that can; whether there was one."""
@@ -189,10 +189,9 @@ class Graph:
         one.advance()
         job = one.job(task)
         if job is None:
-            self._settled(one.step, task)
+            self._settled(one, task)
             return None
-        one.pending += 1
-        self._pending[job.need] = task
+        one.pending[task.name] = task
         if task.refused:
             self._ended(Outcome(job.need, failure(task, job.key, task.refused, code="F02")))
             return None
@@ -201,33 +200,33 @@ class Graph:
     def _is_known(self, need: Need) -> bool:
         """Whether a task is handed out, has ended, or will never be."""
         step, name = need
-        if need in self._pending or name in self.prepared.ledger.of(step):
-            return True
         one = self._open.get(step)
+        if name in self.prepared.ledger.of(step):
+            return True
         if one is None:
             return self._is_closed(step)
-        return one.head is None or need in self._missing
+        return one.head is None or name in one.pending or name in one.missing
 
     def _ended(self, outcome: Outcome) -> None:
         """Take in what has come of a task."""
-        task = self._pending[outcome.need]
-        one, receipt = self._open[outcome.need[0]], outcome.receipt
+        step, name = outcome.need
+        one, receipt = self._open[step], outcome.receipt
+        task = one.pending[name]
         job = one.job(task) if outcome.again is not None else None
         if job is not None:
             self.pool.submit([job._replace(tried=outcome.again)])
             return
-        del self._pending[outcome.need]
-        one.pending -= 1
+        del one.pending[name]
         if receipt is None:
-            self._settled(one.step, task)
+            self._settled(one, task)
             return
         if receipt.failed:
-            self._missing.add(outcome.need)
+            one.missing.add(name)
         else:
-            self.prepared.ledger.of(receipt.kind).put(receipt)
+            self.prepared.ledger.of(step).put(receipt)
         if outcome.found:
             self.progress.found(one.step.stage, receipt)
-            self._settled(one.step, task, found=True)
+            self._settled(one, task, found=True)
         else:
             self.progress.ended(task, receipt)
 
@@ -244,7 +243,6 @@ class Graph:
                 progress.deliveries.save()
             del self._open[name]
             self._closed.add(name)
-            self._missing = {need for need in self._missing if need[0] != name}
             failed = [receipt for _, receipt in progress.failures]
             progress.warn(prepared.receiver.after(step, prepared, failed))
             progress.warn(of_receipts(prepared.ledger.of(name)))

@@ -24,7 +24,7 @@ from spl_batch.engine.store.working_store import (
     read_receipts,
 )
 from spl_batch.engine.tasks.ledger import Ledger
-from spl_batch.engine.tasks.step import Steps
+from spl_batch.engine.tasks.step import Step, Steps
 from spl_batch.engine.tasks.task import Need, Receipt, Task
 from spl_batch.engine.verbs.output_owner import Deliveries
 from spl_batch.engine.verbs.receiver import Prepared
@@ -117,6 +117,15 @@ class Progress:
         if count:
             left = counted(count, "unfinished files")
             self.note(f"{left} of a killed run removed ({total / 1e6:.1f} MB)")
+
+    def withdraw(self, steps: Iterable[Step]) -> None:
+        """Delete what earlier runs delivered and this one does not vouch for, if it delivers."""
+        if not any(step.delivers for step in steps):
+            return
+        for text in self.deliveries.withdraw(self.prepared.ledger, failed=bool(self.failures)):
+            self.note(text)
+        if self.deliveries.spared:
+            self.warn([Finding("E02", {"files": self.deliveries.spared})])
 
     @property
     def begins_again(self) -> bool:

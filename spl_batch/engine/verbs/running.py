@@ -16,22 +16,21 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from spl_batch.engine.findings import Finding
 from spl_batch.engine.flow.cluster import executor, refuse_no_address
 from spl_batch.engine.flow.warm_up import WarmUp
 from spl_batch.engine.plan.budget import Cost
 from spl_batch.engine.report.number_format import as_ascii, duration
-from spl_batch.engine.report.run_record import REPORT_FILES, RunFacts, report_code
+from spl_batch.engine.report.run_record import REPORT_FILES, RunFacts, remember, report_code
 from spl_batch.engine.store.output_lock import locked, was_stopped
 from spl_batch.engine.store.working_store import read_json, write_json
 from spl_batch.engine.tasks.input_changes import stamp_if_there
-from spl_batch.engine.tasks.step import delivering, stages
+from spl_batch.engine.tasks.step import Step, stages
 from spl_batch.engine.verbs.graph import Graph
 from spl_batch.engine.verbs.output_owner import Deliveries, claim, gone_inputs, this_survey, usable
 from spl_batch.engine.verbs.planning import fitting_cost
 from spl_batch.engine.verbs.preparing import prepare
 from spl_batch.engine.verbs.progress import Progress, failures
-from spl_batch.engine.verbs.receiver import FirstLook, Prepared
+from spl_batch.engine.verbs.receiver import Prepared
 from spl_batch.engine.watch.events import Listener, ReportStarted, RunEnded, RunStarted, ignore
 from spl_batch.errors import (
     DamagedError,
@@ -116,13 +115,11 @@ def run(
     prepared = prepare(
         Path(workflow), overrides, memory=memory, workers=workers, remote=scheduler is not None
     )
-    context, kind = prepared.context, prepared.context.workflow.kind
-    if until is not None and until not in stages(kind):
-        raise WorkflowError(f"--until {until}: write one of {', '.join(stages(kind))}")
-    reports = until in {None, "report"}
+    steps, reports = _steps(prepared, until), until in {None, "report"}
     if reports:
         refuse_without("matplotlib", "reports", "report")
-    cost, output = fitting_cost(prepared), context.output
+    context, output = prepared.context, prepared.context.output
+    cost = fitting_cost(prepared)
     usable(prepared)  # before the lock, which would leave a file in somebody else's folder
     look = prepared.receiver.first_look(prepared)  # refuses what a plan refuses
     new, stopped = not output.exists(), was_stopped(output)
@@ -142,7 +139,8 @@ def run(
             if new and not output.is_relative_to(context.base):  # a slip would show
                 progress.note(f"created folder {output}")
             progress.warn((*prepared.ledger.remarks, *gone, *prepared.ledger.inputs.warnings))
-            _report_faults(prepared, look, progress)
+            for text in (*told_together(prepared.ledger.inputs.bad), *look.late):
+                progress.note(text, "error")
             compiles = prepared.receiver.compiles
             warm_up = WarmUp(compiles, COMPILING) if compiles else None
             if new and compiles and not workers and scheduler is None:
@@ -161,23 +159,20 @@ def run(
                 ) as pool:
                     again = True
                     while again:
-                        Graph(_steps(prepared, until), pool, progress).run()
+                        Graph(steps, pool, progress).run()
                         again = progress.repair()
+                progress.withdraw(steps)
                 compile_s = warm_up.took_s if warm_up else None
-                result = _concluded(progress, until, start, compile_s)
+                result = _concluded(progress, start, compile_s, reports=reports)
         progress.tell(RunEnded(result.exit_status))
     return result
 
 
-def _report_faults(prepared: Prepared[Any, Any], look: FirstLook, progress: Progress) -> None:
-    """Name the inputs that cannot be used."""
-    for text in (*told_together(prepared.ledger.inputs.bad), *look.late):
-        progress.note(text, "error")
-
-
-def _steps(prepared: Prepared[Any, Any], until: str | None) -> list[Any]:
+def _steps(prepared: Prepared[Any, Any], until: str | None) -> list[Step]:
     """Steps up to a stage."""
     order = stages(prepared.context.workflow.kind)
+    if until is not None and until not in order:
+        raise WorkflowError(f"--until {until}: write one of {', '.join(order)}")
     last = order.index(until) if until else len(order)
     return [step for step in prepared.steps.values() if order.index(step.stage) <= last]
 
@@ -227,22 +222,16 @@ def _started(
 
 
 def _concluded(
-    progress: Progress, until: str | None, start: float, compile_s: float | None
+    progress: Progress, start: float, compile_s: float | None, *, reports: bool
 ) -> RunResult | None:
-    """Delete what is stale, and write the report unless the run was to stop before it.
+    """Write the report unless the run was to stop before it.
 
-    None where a file that the report reads has to be made again. ``start``: when the run began;
+    None where a file that it reads has to be made again. ``start``: when the run began;
     ``compile_s``: how long it has compiled [s].
     """
-    prepared, kind = progress.prepared, progress.prepared.context.workflow.kind
+    prepared = progress.prepared
     ledger, receiver, output = prepared.ledger, prepared.receiver, prepared.context.output
-    order, first = stages(kind), prepared.steps[delivering(kind)[0]].stage
-    if until is None or order.index(until) >= order.index(first):
-        for text in progress.deliveries.withdraw(ledger, failed=bool(progress.failures)):
-            progress.note(text)
-        if progress.deliveries.spared:
-            progress.warn([Finding("E02", {"files": list(progress.deliveries.spared)})])
-    if until is not None and until != "report":
+    if not reports:
         return RunResult(int(bool(progress.failures or ledger.inputs.bad)), output, None)
     facts = RunFacts(
         time.perf_counter() - start,
@@ -261,6 +250,7 @@ def _concluded(
         if not progress.repair([error]):
             raise
         return None
+    remember(ledger.done, prepared.context, facts)
     progress.late(written.findings)
     if not written.failures:
         _rest(prepared, progress.deliveries)
