@@ -98,26 +98,9 @@ def executor(
 ) -> Iterator[Executor]:
     """Give somewhere to run tasks; workers are started, or looked for, before the first of them.
 
-    Parameters
-    ----------
-    context : RunContext
-        What tasks are given; its code and its mark are what every worker has to find.
-    workers : int
-        Worker processes of a local cluster; 0 works in this process.
-    memory_bytes : int
-        Memory limit of each local worker, or what a task may need of others' workers [byte].
-    scheduler : str or None
-        Address of a running scheduler, which is used instead.
-    observer : Observer
-        Notified of what happens to tasks and workers.
-    warm_up : WarmUp, optional
-        What local workers do before their first task.
-
-    Yields
-    ------
-    Executor
-        Where to run tasks; before the first one it raises :class:`WorkflowError` if the workers
-        cannot do the work, and :class:`StoppedError` if the scheduler cannot be reached.
+    Then it raises WorkflowError if the workers cannot do the work: each has to find the code and
+    the mark of ``context``, and a task may need ``memory_bytes``; StoppedError if the scheduler
+    cannot be reached. Local workers do the ``warm_up`` before their first task.
     """
     if scheduler is None and workers == 0:
         yield InProcess(context, observer)

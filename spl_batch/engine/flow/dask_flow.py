@@ -140,10 +140,7 @@ class OnDask:
     def ended(self) -> Sequence[Outcome]:
         """Wait for the next jobs to end that were submitted together.
 
-        Raises
-        ------
-        StoppedError
-            If the scheduler is lost or a task met something that concerns everything.
+        StoppedError if the scheduler is lost or a task met something that concerns everything.
         """
         for future, result in self._ended:
             trial = self._trials.pop(future.key, None)

@@ -24,8 +24,6 @@ def reported(
 
     Parameters
     ----------
-    findings : iterable of Finding
-        All of a run, in the order in which the report has them.
     ignored : collection of str
         Codes that are left out (``report.ignore``).
     notes : bool

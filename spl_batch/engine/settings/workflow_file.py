@@ -36,13 +36,7 @@ def parse_any(content: Mapping[str, Any], where: str) -> BaseWorkflow:
 
 
 def known_kind(content: Mapping[str, Any], where: str) -> str:
-    """Receiver that a file is for, by its ``kind``; airborne surveys where it has none.
-
-    Raises
-    ------
-    WorkflowError
-        If there is no such receiver.
-    """
+    """Receiver that a file is for, by its ``kind``; airborne surveys where it has none."""
     kind = content.get("kind", IMAGING)
     if kind not in HOMES:
         near = difflib.get_close_matches(str(kind), HOMES, n=1, cutoff=0.0)
@@ -74,14 +68,9 @@ def workflow_content(path: Path, overrides: Sequence[str]) -> dict[str, Any]:
 
 
 def read_mapping(path: Path, otherwise: str) -> dict[str, Any]:
-    """Content of a YAML file that holds a mapping.
+    """Content of a YAML file that holds a mapping; ``otherwise``: what is said of another one.
 
-    ``otherwise``: the message where it holds something else.
-
-    Raises
-    ------
-    WorkflowError
-        If the file cannot be read, is not YAML, names a key twice, or holds no mapping.
+    WorkflowError if it cannot be read, is not YAML, names a key twice, or holds no mapping.
     """
     refuse_urls(path)
     try:

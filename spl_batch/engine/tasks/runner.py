@@ -80,10 +80,7 @@ def build_version() -> str:
 def code_version(receiver: str) -> str:
     """Version of the project, hash of the code and of the libraries that decide results.
 
-    Parameters
-    ----------
-    receiver : str
-        A workflow's ``kind``: code that its tasks do not import changes nothing of its results.
+    ``receiver``: a workflow's ``kind``; code that its tasks do not import changes no result.
     """
     digest = hashlib.blake2b(content_hash(task_files(receiver)).encode(), digest_size=8)
     for name in DECISIVE:

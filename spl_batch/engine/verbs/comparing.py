@@ -131,13 +131,7 @@ def compare(
 def _chosen(
     methods: str | Sequence[str], found: Methods, settings: Any
 ) -> dict[str, Sequence[str]]:
-    """Keys of each method that is asked for, by name.
-
-    Raises
-    ------
-    WorkflowError
-        If there is no such method, or fewer than two are given.
-    """
+    """Keys of each method that is asked for, by name; two at the least."""
     chosen = {}
     for name in listed(methods):
         own = found.keys(name, settings)

@@ -108,14 +108,8 @@ def usable(prepared: Prepared[Any, Any], *, stopped: bool | None = None) -> Deli
     """What earlier runs have left in the output folder of a run that may work there.
 
     ``stopped``: whether the run before was stopped, where the lock that shows it is taken already.
-
-    Raises
-    ------
-    WorkflowError
-        If nothing can be written there, or another survey's results are there, or files that no run
-        has recorded.
-    StoppedError
-        If a store elsewhere cannot be reached.
+    WorkflowError if nothing can be written there, or another survey's results are there, or files
+    that no run has recorded; StoppedError if a store elsewhere cannot be reached.
     """
     output = prepared.context.output
     there = next(path for path in (output, *output.parents) if os.path.lexists(path))

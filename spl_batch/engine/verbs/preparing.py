@@ -36,25 +36,10 @@ def prepare(
     workers: int = 2,
     remote: bool = False,
 ) -> Prepared[Any, Any]:
-    """Read the workflow and the headers of its files.
+    """Read the workflow and the headers of its files, as :func:`~.running.run` is given them.
 
-    Parameters
-    ----------
-    path : Path
-        Workflow file.
-    overrides : sequence of str
-        ``key.path=value``.
-    memory : str or int, optional
-        Memory limit of a worker [byte]; :func:`limit_bytes` has the default.
-    workers : int
-        Worker processes [count].
-    remote : bool
-        Whether they are those of a running scheduler.
-
-    Raises
-    ------
-    WorkflowError
-        If the workflow or a limit is wrong, or no input is usable.
+    ``remote``: whether workers are those of a running scheduler. WorkflowError if the workflow or
+    a limit is wrong, or no input is usable.
     """
     limit = limit_bytes(memory, workers, remote=remote)
     workflow = load_any(path, overrides)
@@ -86,10 +71,7 @@ def prepare(
 
 
 def limit_bytes(memory: str | int | None, workers: int, *, remote: bool = False) -> int:
-    """Memory limit of each worker, from what is given for it; workers of this machine share it.
-
-    The arguments are those of :func:`prepare`, and so is the error for a wrong one.
-    """
+    """Memory limit of each worker [byte]: what is given for it, or a share of this machine's."""
     if workers < 0:
         raise WorkflowError(f"--workers {workers}: write 0 (in this process) or more")
     if memory is not None:
