@@ -10,7 +10,7 @@ from spl_batch.engine.store.working_store import write_json, write_receipt
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs import simulation
 from spl_batch.engine.verbs.output_owner import Deliveries, gone_inputs, this_survey, usable
-from spl_batch.engine.verbs.preparing import prepare
+from spl_batch.engine.verbs.planning import prepare
 from spl_batch.engine.verbs.receiver import Prepared
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.files.atomic import checksum, size

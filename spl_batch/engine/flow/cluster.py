@@ -108,7 +108,20 @@ def executor(
     stack = contextlib.ExitStack()
 
     def connect() -> Any:
-        client = _client(stack, context, workers, memory_bytes, scheduler)
+        import dask  # noqa: PLC0415 - slow import, only when used
+        from distributed import Client  # noqa: PLC0415
+
+        stack.enter_context(dask.config.set(SETTINGS))
+        stack.enter_context(silent())
+        address = scheduler or stack.enter_context(local_cluster(workers, memory_bytes))
+        try:
+            client = stack.enter_context(Client(address))
+        except (OSError, TimeoutError, TypeError, ValueError) as error:  # TypeError: TLS, no keys
+            raise StoppedError(
+                f"--scheduler {scheduler}: no answer ({error}); is `dask scheduler` running there?"
+            ) from error
+        if scheduler is not None:
+            check_workers(client, context, memory_bytes)
         dashboard = str(client.dashboard_link or "") if find_spec("bokeh") else ""
         observer.tell(WorkersReady(scheduler or "", dashboard))
         return client
@@ -120,31 +133,6 @@ def executor(
         pool.close()
         with contextlib.suppress(TimeoutError):  # on a busy machine workers end with this process
             stack.close()
-
-
-def _client(
-    stack: contextlib.ExitStack,
-    context: RunContext[Any],
-    workers: int,
-    memory_bytes: int,
-    scheduler: str | None,
-) -> Any:
-    """Client of a scheduler, ended by a stack."""
-    import dask  # noqa: PLC0415 - slow import, only when used
-    from distributed import Client  # noqa: PLC0415
-
-    stack.enter_context(dask.config.set(SETTINGS))
-    stack.enter_context(silent())
-    address = scheduler or stack.enter_context(local_cluster(workers, memory_bytes))
-    try:
-        client = stack.enter_context(Client(address))
-    except (OSError, TimeoutError, TypeError, ValueError) as error:  # TypeError: TLS without keys
-        raise StoppedError(
-            f"--scheduler {scheduler}: no answer ({error}); is `dask scheduler` running there?"
-        ) from error
-    if scheduler is not None:
-        check_workers(client, context, memory_bytes)
-    return client
 
 
 @contextlib.contextmanager

@@ -23,7 +23,7 @@ from spl_batch.engine.settings.workflow_file import load_any
 from spl_batch.engine.store.output_lock import locked
 from spl_batch.engine.store.working_store import Store, forget_receipt, read_receipt, read_receipts
 from spl_batch.engine.verbs.output_owner import usable
-from spl_batch.engine.verbs.preparing import prepare
+from spl_batch.engine.verbs.planning import prepare
 from spl_batch.engine.verbs.running import run
 from spl_batch.engine.watch.events import Listener, Note, ignore
 from spl_batch.errors import WorkflowError

@@ -27,8 +27,7 @@ from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.step import Step, stages
 from spl_batch.engine.verbs.graph import Graph
 from spl_batch.engine.verbs.output_owner import Deliveries, claim, gone_inputs, this_survey, usable
-from spl_batch.engine.verbs.planning import fitting_cost
-from spl_batch.engine.verbs.preparing import prepare
+from spl_batch.engine.verbs.planning import fitting_cost, prepare
 from spl_batch.engine.verbs.progress import Progress, failures
 from spl_batch.engine.verbs.receiver import Prepared
 from spl_batch.engine.watch.events import Listener, ReportStarted, RunEnded, RunStarted, ignore
