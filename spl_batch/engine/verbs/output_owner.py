@@ -19,8 +19,6 @@ from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.run_record import REPORT_FILES
 from spl_batch.engine.store.output_lock import was_stopped
 from spl_batch.engine.store.working_store import Store, read_json, read_receipts, write_json
-from spl_batch.engine.tasks.context import RunContext
-from spl_batch.engine.tasks.ledger import Ledger
 from spl_batch.engine.tasks.step import delivering
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs.receiver import Prepared
@@ -38,14 +36,14 @@ _MARK: Final = "output.json"
 
 
 class Deliveries:
-    """The files that the runs of an output folder have written.
+    """The files that the runs of an output folder have written, before a run that may work there.
 
     Where the run before was ``stopped`` receipts have what it delivered.
     """
 
-    def __init__(self, context: RunContext[Any], *, stopped: bool = False) -> None:
-        self.output = context.output
-        self._kinds = delivering(context.workflow.kind)
+    def __init__(self, prepared: Prepared[Any, Any], *, stopped: bool = False) -> None:
+        self.prepared, self.output = prepared, prepared.context.output
+        self._kinds = delivering(prepared.context.workflow.kind)
         #: ``name`` and ``inputs`` of the survey that the output belongs to, once one is recorded.
         self.survey: Mapping[str, Any] | None = None
         #: Size [byte], time of writing [ns since 1970] and checksum of each, by its name below it.
@@ -56,7 +54,7 @@ class Deliveries:
             self.survey, self.files = kept["survey"], kept["files"]
         except DamagedError:  # none yet, or one that nobody can trust: receipts have the files
             stopped = True
-        made = (read_receipts(context.store, kind) for kind in self._kinds if stopped)
+        made = (read_receipts(prepared.context.store, kind) for kind in self._kinds if stopped)
         for receipt in chain.from_iterable(made):
             if not receipt.failed:
                 self.wrote(receipt)
@@ -71,10 +69,26 @@ class Deliveries:
         """Write the record."""
         write_json(self.output / RECORD, {"survey": self.survey, "files": self.files})
 
-    def begin(self, survey: Mapping[str, Any]) -> None:
-        """Record whose the output is, before anything is written."""
-        self.survey = survey
+    def begin(self) -> None:
+        """Record whose the output is, and a store elsewhere, before anything is written."""
+        content = self.prepared.context.workflow.model_dump(mode="json")
+        sections = (value for value in content.values() if isinstance(value, dict))
+        name = next((str(s["name"]) for s in sections if "name" in s), "survey")
+        inputs = [[str(path), size(path)] for path in _paths(self.prepared)]
+        self.survey = {"name": name, "inputs": inputs}
         self.save()
+        store = self.prepared.context.store
+        if store.url:  # two outputs would overwrite each other there
+            there = {"output": str(self.output), "host": socket.gethostname()}
+            write_json(store.path(_MARK), there)
+
+    def gone_inputs(self) -> Iterator[Finding]:
+        """Name the inputs of the run before that are not among this one's; their results go."""
+        before = [Path(path).name for path, _ in (self.survey or {}).get("inputs", ())]
+        # By their names alone, as a survey may have been moved.
+        gone = sorted({*before} - {path.name for path in _paths(self.prepared)})
+        if 0 < len(gone) < len(before):
+            yield Finding("E01", {"kind": "gone", "files": gone})
 
     def wrote(self, receipt: Receipt) -> None:
         """Take note of what a task has delivered, or is known to have."""
@@ -83,13 +97,14 @@ class Deliveries:
             if name in receipt.written_ns and not name.removeprefix("./").startswith("store/"):
                 self.files[name] = [receipt.sizes[name], receipt.written_ns[name], content]
 
-    def withdraw(self, ledger: Ledger[Any, Any], *, failed: bool) -> Iterator[str]:
+    def withdraw(self, *, failed: bool) -> Iterator[str]:
         """Delete what earlier runs delivered and this one does not vouch for; a line that names it.
 
         A file of an input that is gone, or can no longer be read, would pass for a result. Only
         files that are as they were written are deleted, and none where tasks ``failed``: nobody
         knows what these would have made.
         """
+        ledger = self.prepared.ledger
         finished = chain.from_iterable(ledger.of(kind).values() for kind in self._kinds)
         current = {name for receipt in finished for name in receipt.outputs}
         stale = sorted(self.files.keys() - current)
@@ -124,7 +139,7 @@ def usable(prepared: Prepared[Any, Any], *, stopped: bool | None = None) -> Deli
         )
     _refuse_claimed(prepared.context.store)
     stopped = was_stopped(output) if stopped is None else stopped
-    deliveries = Deliveries(prepared.context, stopped=stopped)
+    deliveries = Deliveries(prepared, stopped=stopped)
     if deliveries.survey is None:
         _refuse_unknown(prepared, deliveries)
     elif deliveries.anything_there and not _in_common(deliveries.survey["inputs"], prepared):
@@ -149,30 +164,6 @@ def _refuse_unknown(prepared: Prepared[Any, Any], deliveries: Deliveries) -> Non
             f"output: {output} holds {named(unknown, 3)}, and no run has recorded there "
             f"({RECORD}) that it wrote them; name another output, or move them away"
         )
-
-
-def this_survey(prepared: Prepared[Any, Any]) -> dict[str, Any]:
-    """Name and inputs of a run's survey, to be recorded in its output."""
-    content = prepared.context.workflow.model_dump(mode="json")
-    sections = (value for value in content.values() if isinstance(value, dict))
-    name = next((str(s["name"]) for s in sections if "name" in s), "survey")
-    return {"name": name, "inputs": [[str(path), size(path)] for path in _paths(prepared)]}
-
-
-def gone_inputs(prepared: Prepared[Any, Any], deliveries: Deliveries) -> Iterator[Finding]:
-    """Name the inputs of the run before that are not among this one's; their results go."""
-    before = [Path(path).name for path, _ in (deliveries.survey or {}).get("inputs", ())]
-    # By their names alone, as a survey may have been moved.
-    gone = sorted({*before} - {path.name for path in _paths(prepared)})
-    if 0 < len(gone) < len(before):
-        yield Finding("E01", {"kind": "gone", "files": gone})
-
-
-def claim(store: Store) -> None:
-    """Leave a mark in a store elsewhere that names its output: two would overwrite each other."""
-    if store.url:
-        content = {"output": str(store.output), "host": socket.gethostname()}
-        write_json(store.path(_MARK), content)
 
 
 def _refuse_claimed(store: Store) -> None:

@@ -16,7 +16,7 @@ from spl_batch.engine.report.parts import FindingReport
 from spl_batch.engine.report.reported import reported
 from spl_batch.engine.settings.workflow_file import load_any
 from spl_batch.engine.tasks.runner import code_version
-from spl_batch.engine.verbs.output_owner import gone_inputs, usable
+from spl_batch.engine.verbs.output_owner import usable
 from spl_batch.engine.verbs.receiver import Prepared, Receiver
 from spl_batch.errors import WorkflowError, grouped, refuse_without, storage, told_together
 from spl_batch.formats.files.atomic import names_in, real_path
@@ -94,7 +94,7 @@ def plan(
     findings = (
         *prepared.ledger.remarks,
         *inputs.warnings,
-        *gone_inputs(prepared, deliveries),
+        *deliveries.gone_inputs(),
         *_too_full(prepared.context.output, 0 if finished or store.url else cost.disk_bytes),
     )
     units, ignored = Units.of(prepared.context.crs), prepared.context.workflow.report.ignore

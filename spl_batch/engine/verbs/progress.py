@@ -122,7 +122,7 @@ class Progress:
         """Delete what earlier runs delivered and this one does not vouch for, if it delivers."""
         if not any(step.delivers for step in steps):
             return
-        for text in self.deliveries.withdraw(self.prepared.ledger, failed=bool(self.failures)):
+        for text in self.deliveries.withdraw(failed=bool(self.failures)):
             self.note(text)
         if self.deliveries.spared:
             self.warn([Finding("E02", {"files": self.deliveries.spared})])

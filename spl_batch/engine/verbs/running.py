@@ -26,7 +26,7 @@ from spl_batch.engine.store.working_store import read_json, write_json
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.step import Step, stages
 from spl_batch.engine.verbs.graph import Graph
-from spl_batch.engine.verbs.output_owner import Deliveries, claim, gone_inputs, this_survey, usable
+from spl_batch.engine.verbs.output_owner import Deliveries, usable
 from spl_batch.engine.verbs.planning import fitting_cost, prepare
 from spl_batch.engine.verbs.progress import Progress, failures
 from spl_batch.engine.verbs.receiver import Prepared
@@ -125,11 +125,10 @@ def run(
     with locked(output) as mark:
         prepared = replace(prepared, context=replace(context, mark=mark))
         deliveries = usable(prepared, stopped=stopped)
-        gone = [*gone_inputs(prepared, deliveries)]
-        deliveries.begin(this_survey(prepared))
+        gone = [*deliveries.gone_inputs()]
         if fresh:
             context.store.clear()
-        claim(context.store)
+        deliveries.begin()
         progress = Progress(prepared, workers, deliveries, listener)
         progress.tell(_started(prepared, workflow, workers, cost))
         with _logging_the_end(progress), _stopped_by_system():
