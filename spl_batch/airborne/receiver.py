@@ -42,7 +42,6 @@ from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.store.raster_cells import create_raster_store
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.flow.warm_up import Work
-from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.step import Step
 from spl_batch.engine.tasks.task import Receipt
@@ -171,16 +170,6 @@ class Imaging(Receiver[Survey, Context]):
         indexed, inputs = ledger.of("index_file"), ledger.inputs
         lost = sum(s.facts.n_points for s in inputs.sources if str(s.key) not in indexed)
         return lost + sum(promised_points(Path(path)) for path in {bad.path for bad in inputs.bad})
-
-    def load_report(self) -> None:
-        """Import what a report is drawn with."""
-        import spl_batch.airborne.report.summarise  # noqa: F401, PLC0415 - a plan draws nothing
-
-    def report(self, done: Receipts, context: Context, facts: RunFacts) -> Report:
-        """Write ``report.json`` and ``report.html``."""
-        from spl_batch.airborne.report.summarise import summarise  # noqa: PLC0415 - a plan draws nothing
-
-        return summarise(done, context, facts)
 
     def screen(self, report: Report) -> list[tuple[str, str]]:
         """Label and value of each number that the console shows after a run."""

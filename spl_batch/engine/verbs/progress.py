@@ -9,7 +9,8 @@ import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
+from importlib.util import find_spec
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
@@ -42,6 +43,7 @@ from spl_batch.engine.watch.events import (
 from spl_batch.errors import DamagedError, counted, named
 from spl_batch.formats.files.atomic import sweep
 from spl_batch.formats.units import Units
+from spl_batch.receivers import summariser
 
 LOG_WORKERS_S: Final = 10.0
 """How often the log has how the workers are [s]."""
@@ -80,8 +82,9 @@ class Progress:
     def tell(self, event: Event) -> None:
         """Pass an event on, to the log as well."""
         with self.lock:  # workers report their beginnings in another thread
-            if isinstance(event, WorkersReady):
-                load = self.prepared.receiver.load_report
+            if isinstance(event, WorkersReady) and find_spec("matplotlib"):
+                # What draws a report takes seconds to import; while workers are busy, none.
+                load = partial(summariser, self.prepared.context.workflow.kind)
                 threading.Thread(target=load, name="load report", daemon=True).start()
             logged = not isinstance(event, Compiling)
             if isinstance(event, WorkersSeen):

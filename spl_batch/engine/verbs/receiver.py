@@ -14,7 +14,6 @@ from typing import Any, ClassVar, Generic, NamedTuple, NoReturn, TypeVar
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.flow.warm_up import Work
 from spl_batch.engine.plan.budget import Cost
-from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.ledger import Ledger
@@ -142,13 +141,6 @@ class Receiver(ABC, Generic[L, C]):
         """Points that files promise which could not be read to their end [count]."""
         del ledger
         return 0
-
-    def load_report(self) -> None:
-        """Import what a report is drawn with: while workers are busy it costs no time."""
-
-    @abstractmethod
-    def report(self, done: Receipts, context: C, facts: RunFacts) -> Any:
-        """Write ``report.json`` and ``report.html``, and return the model of them."""
 
     @abstractmethod
     def screen(self, report: Any) -> list[tuple[str, str]]:

@@ -15,7 +15,7 @@ from spl_batch.engine.verbs.receiver import Receiver
 from spl_batch.engine.verbs.running import RunResult, result_of
 from spl_batch.errors import DamagedError, SplBatchError, StoreError, refuse_without
 from spl_batch.formats.files.atomic import real_path
-from spl_batch.receivers import receiver, steps
+from spl_batch.receivers import receiver, steps, summariser
 
 
 def report(output: Path | str) -> RunResult:
@@ -39,9 +39,8 @@ def report(output: Path | str) -> RunResult:
     refuse_without("matplotlib", "reports", "report")
     done, context, facts = recalled(real_path(output))
     kind = context.workflow.kind
-    found: Receiver[Any, Any] = receiver(kind)
     try:
-        written = found.report(done, context, facts)
+        written = summariser(kind)(done, context, facts)
     except DamagedError as error:
         # A run that finds all finished would not look at it.
         forget_makers(context.store, steps(kind), [context.store.name_of(error.path)], {})
@@ -53,7 +52,7 @@ def report(output: Path | str) -> RunResult:
         if context.code == code_version(kind):
             raise
         raise _of_another_version(context.output, context.code) from error
-    return result_of(found, context.output, written)
+    return result_of(receiver(kind), context.output, written)
 
 
 def recalled(folder: Path) -> tuple[dict[str, Shelf], Any, RunFacts]:

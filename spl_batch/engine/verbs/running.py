@@ -41,7 +41,7 @@ from spl_batch.errors import (
     told_together,
 )
 from spl_batch.formats.files.atomic import remove, stop_if_full
-from spl_batch.receivers import report_model
+from spl_batch.receivers import report_model, summariser
 
 COMPILING: Final = (
     "getting the kernels ready; the first run on a machine compiles them, which usually takes a "
@@ -243,7 +243,8 @@ def _concluded(
     )
     progress.tell(ReportStarted())
     try:
-        written = receiver.report(ledger.done, prepared.context, facts)
+        summarise = summariser(prepared.context.workflow.kind)
+        written = summarise(ledger.done, prepared.context, facts)
     except DamagedError as error:
         if not progress.repair([error]):
             raise
