@@ -74,7 +74,7 @@ class Deliveries:
         content = self.prepared.context.workflow.model_dump(mode="json")
         sections = (value for value in content.values() if isinstance(value, dict))
         name = next((str(s["name"]) for s in sections if "name" in s), "survey")
-        inputs = [[str(path), size(path)] for path in _paths(self.prepared)]
+        inputs = [[str(path), size(path)] for path in input_paths(self.prepared)]
         self.survey = {"name": name, "inputs": inputs}
         self.save()
         store = self.prepared.context.store
@@ -86,7 +86,7 @@ class Deliveries:
         """Name the inputs of the run before that are not among this one's; their results go."""
         before = [Path(path).name for path, _ in (self.survey or {}).get("inputs", ())]
         # By their names alone, as a survey may have been moved.
-        gone = sorted({*before} - {path.name for path in _paths(self.prepared)})
+        gone = sorted({*before} - {path.name for path in input_paths(self.prepared)})
         if 0 < len(gone) < len(before):
             yield Finding("E01", {"kind": "gone", "files": gone})
 
@@ -179,7 +179,7 @@ def _refuse_claimed(store: Store) -> None:
         )
 
 
-def _paths(prepared: Prepared[Any, Any]) -> list[Path]:
+def input_paths(prepared: Prepared[Any, Any]) -> list[Path]:
     """Every input that the workflow names, those that cannot be used included."""
     inputs = prepared.ledger.inputs
     return sorted({*(s.path for s in inputs.sources), *(Path(bad.path) for bad in inputs.bad)})
@@ -188,4 +188,4 @@ def _paths(prepared: Prepared[Any, Any]) -> list[Path]:
 def _in_common(earlier: list[list[Any]], prepared: Prepared[Any, Any]) -> bool:
     """Whether an input of an earlier run is one of this run's."""
     known = {key for path, count in earlier for key in (path, (Path(path).name, count))}
-    return any(str(p) in known or (p.name, size(p)) in known for p in _paths(prepared))
+    return any(str(p) in known or (p.name, size(p)) in known for p in input_paths(prepared))

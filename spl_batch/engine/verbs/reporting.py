@@ -45,11 +45,9 @@ def report(output: Path | str) -> RunResult:
         # A run that finds all finished would not look at it.
         forget_makers(context.store, steps(kind), [context.store.name_of(error.path)], {})
         raise
-    except SplBatchError:
-        raise
     except Exception as error:
         # What tasks record changes with the code: another version's may lack what is looked for.
-        if context.code == code_version(kind):
+        if isinstance(error, SplBatchError) or context.code == code_version(kind):
             raise
         raise _of_another_version(context.output, context.code) from error
     return result_of(receiver(kind), context.output, written)

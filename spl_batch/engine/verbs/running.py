@@ -26,7 +26,7 @@ from spl_batch.engine.store.working_store import read_json, write_json
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.step import Step, stages
 from spl_batch.engine.verbs.graph import Graph
-from spl_batch.engine.verbs.output_owner import Deliveries, usable
+from spl_batch.engine.verbs.output_owner import input_paths, usable
 from spl_batch.engine.verbs.planning import fitting_cost, prepare
 from spl_batch.engine.verbs.progress import Progress, failures
 from spl_batch.engine.verbs.receiver import Prepared
@@ -143,7 +143,7 @@ def run(
             warm_up = WarmUp(compiles, COMPILING) if compiles else None
             if new and compiles and not workers and scheduler is None:
                 progress.note(COMPILING)
-            result = _rested(prepared, progress, start) if reports and not fresh else None
+            result = _rested(progress, start) if reports and not fresh else None
             if result is None:
                 remove(context.store.local / REST)
             while result is None:
@@ -252,7 +252,7 @@ def _concluded(
     remember(ledger.done, prepared.context, facts)
     progress.late(written.findings)
     if not written.failures:
-        _rest(prepared, progress.deliveries)
+        _rest(progress)
     return result_of(receiver, output, written)
 
 
@@ -265,49 +265,44 @@ def result_of(
     return RunResult(status, output, written, screen, tuple(receiver.results(output)))
 
 
-def _rest(prepared: Prepared[Any, Any], deliveries: Deliveries) -> None:
+def _rest(progress: Progress) -> None:
     """Record that everything is finished."""
-    store = prepared.context.store
+    store = progress.prepared.context.store
     if store.url is None:  # folders elsewhere have no times
         below = (place for place, _, _ in os.walk(store.local))
         folders = sorted({str(Path(place).relative_to(store.local)) for place in below} - {"."})
-        content = {"folders": folders, "state": _state(prepared, deliveries, folders)}
+        content = {"folders": folders, "state": _state(progress, folders)}
         write_json(store.local / REST, content)
 
 
-def _rested(prepared: Prepared[Any, Any], progress: Progress, start: float) -> RunResult | None:
-    """Result of a run that finds everything as it was left; None where there is work to do.
-
-    ``start``: when the run began [s].
-    """
-    file, output = prepared.context.store.local / REST, prepared.context.output
-    model = report_model(prepared.context.workflow.kind)
+def _rested(progress: Progress, start: float) -> RunResult | None:
+    """Result of a run that finds everything as it was left; None where there is work to do."""
+    context = progress.prepared.context
+    model, report = report_model(context.workflow.kind), context.output / REPORT_FILES[0]
     try:
-        kept = read_json(file)
-        if kept["state"] != _state(prepared, progress.deliveries, kept["folders"]):
+        kept = read_json(context.store.local / REST)
+        if kept["state"] != _state(progress, kept["folders"]):
             return None
-        written = model.model_validate_json((output / REPORT_FILES[0]).read_bytes())
+        written = model.model_validate_json(report.read_bytes())
     except (DamagedError, OSError, ValueError):  # none, or none to be trusted: receipts have it
         return None
     progress.late(written.findings)
     took = as_ascii(duration(time.perf_counter() - start))
     now = [("now", f"nothing was left to do: looked at in {took}")]
-    return result_of(prepared.receiver, output, written, now)
+    return result_of(progress.prepared.receiver, context.output, written, now)
 
 
-def _state(prepared: Prepared[Any, Any], deliveries: Deliveries, folders: Iterable[str]) -> str:
+def _state(progress: Progress, folders: Iterable[str]) -> str:
     """Hash of what decides the results, and of the times of what is there."""
-    context, ledger = prepared.context, prepared.ledger
-    inputs = [*(source.path for source in ledger.inputs.sources)]
-    inputs += [Path(bad.path) for bad in ledger.inputs.bad]
+    prepared, context = progress.prepared, progress.prepared.context
     reports = (context.output / name for name in REPORT_FILES)
     parts = [
         context.workflow.model_dump(mode="json"),
         *(context.crs_wkt, context.code, report_code(context.workflow.kind)),
-        ledger.memory_bytes,
+        prepared.ledger.memory_bytes,
         prepared.receiver.decisive(prepared),
-        [[str(path), *stamp_if_there(path)] for path in (*inputs, *reports)],
-        [[name, *stamp_if_there(context.output / name)] for name in sorted(deliveries.files)],
+        [[str(path), *stamp_if_there(path)] for path in (*input_paths(prepared), *reports)],
+        [[n, *stamp_if_there(context.output / n)] for n in sorted(progress.deliveries.files)],
         [_written_ns(context.store.local / name) for name in folders],
     ]
     return hashlib.blake2b(json.dumps(parts, sort_keys=True).encode(), digest_size=16).hexdigest()
