@@ -212,8 +212,7 @@ class Graph:
         step, name = outcome.need
         one, receipt = self._open[step], outcome.receipt
         task = one.pending[name]
-        job = one.job(task) if outcome.again is not None else None
-        if job is not None:
+        if outcome.again is not None and (job := one.job(task)):
             self.pool.submit([job._replace(tried=outcome.again)])
             return
         del one.pending[name]
