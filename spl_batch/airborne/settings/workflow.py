@@ -27,11 +27,9 @@ from spl_batch.airborne.settings import (
     TilingSettings,
     WireSettings,
 )
-from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.settings.workflow_file import parse_any, workflow_content
 from spl_batch.errors import WorkflowError
-from spl_batch.lattice.tiles import quanta
 from spl_batch.receivers import IMAGING
 
 
@@ -98,27 +96,6 @@ class Workflow(BaseWorkflow):
             yield (
                 f"filter.wires.alpha: {wires.alpha:g} exceeds filter.alpha, "
                 f"{self.filter.alpha:g}, of which it is a part; lower it, or raise filter.alpha"
-            )
-        yield from self._uneven_cells()
-
-    def _uneven_cells(self) -> Iterator[str]:
-        """Edges that are not whole millimetres, and raster cells that do not fill a ground cell."""
-        edges = {
-            "tiling.tile_m": self.tiling.tile_m,
-            "ground.cell_m": self.ground.cell_m,
-            "products.cell_m": self.products.cell_m,
-            "noise.voxel_m": self.noise.voxel_m,
-        }
-        uneven = [
-            f"{key}: {edge:g} is not a whole number of millimetres"
-            for key, edge in edges.items()
-            if quanta(edge) < 1 or abs(edge * QUANTA_PER_M - quanta(edge)) > 1e-6
-        ]
-        yield from uneven
-        if not uneven and quanta(self.ground.cell_m) % quanta(self.products.cell_m):
-            yield (
-                f"ground.cell_m ({self.ground.cell_m:g}) must be a whole multiple of "
-                f"products.cell_m ({self.products.cell_m:g})"
             )
 
     def remarks(self) -> Iterator[str]:
