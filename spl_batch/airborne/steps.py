@@ -247,7 +247,7 @@ STEPS: Final[Steps] = table(
         "reproject_file",
         run="tasks.client_tiles:reproject_file",
         tasks="client_tasks:reprojected_files",
-        settings=("outputs.crs",),
+        settings=("outputs.crs", "outputs.units"),
         unit="file",
         after=("deliver_file",),
     ),
@@ -255,7 +255,7 @@ STEPS: Final[Steps] = table(
         "reproject_raster",
         run="tasks.client_tiles:reproject_raster",
         tasks="client_tasks:reprojected_rasters",
-        settings=("outputs.crs", "outputs.cell", "products.cell_m"),
+        settings=("outputs.crs", "outputs.units", "outputs.cell", "products.cell_m"),
         after=("mosaic",),
     ),
     _delivery(

@@ -5,13 +5,13 @@ from collections.abc import Iterator
 
 import shapely
 
+from spl_batch.airborne.context import reprojection
 from spl_batch.airborne.plan.space_tasks import aligned, delivered_rasters, knows_reflectance
 from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_bounds
 from spl_batch.airborne.plan.task_memory import refusal
 from spl_batch.airborne.products.product_table import HEIGHTS, products
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.tasks.task import Task
-from spl_batch.formats.reprojection import Reprojection
 from spl_batch.lattice.tiles import Bounds, BoxIndex, cells_touching, shared
 
 
@@ -52,9 +52,9 @@ def contours(survey: Survey) -> Iterator[Task]:
 
 
 def reprojected_files(survey: Survey) -> Iterator[Task]:
-    """Delivered clouds in another CRS, unless that is the survey's."""
-    named = survey.workflow.outputs.crs
-    if named is None or not Reprojection(survey.inputs.crs, named).moves_points:
+    """Delivered clouds in another CRS or unit, unless these are the survey's."""
+    moved = reprojection(survey.workflow.outputs, survey.inputs.crs)
+    if moved is None or not moved.moves_points:
         return
     for key, receipt in sorted(survey.of("deliver_file").items()):
         name = receipt.facts["name"]
@@ -63,8 +63,8 @@ def reprojected_files(survey: Survey) -> Iterator[Task]:
 
 
 def reprojected_rasters(survey: Survey) -> Iterator[Task]:
-    """Delivered rasters in another CRS."""
-    if survey.workflow.outputs.crs is None:
+    """Delivered rasters in another CRS, unit or cell."""
+    if reprojection(survey.workflow.outputs, survey.inputs.crs) is None:
         return
     for made in products(reflectance=knows_reflectance(survey)):
         if made.delivered and made.name in survey.of("mosaic"):

@@ -1,11 +1,10 @@
 """What a client asks for: tiles by polygons, contours, clouds and rasters in another CRS."""
 
-import math
 from collections.abc import Iterator, Mapping
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import shapely
@@ -15,7 +14,7 @@ from rasterio.windows import Window
 
 from spl_batch.airborne.catalogue.catalogues import Layer, write_layers
 from spl_batch.airborne.catalogue.delivered_files import CLIENT_TILES, CONTOURS
-from spl_batch.airborne.context import Context
+from spl_batch.airborne.context import Context, reprojection
 from spl_batch.airborne.store.flown_lines import read_shifts
 from spl_batch.airborne.tasks.index import BOXES, CHUNK_POINTS
 from spl_batch.constants import NODATA, QUANTA_PER_M
@@ -30,9 +29,6 @@ from spl_batch.formats.rasters import parts
 from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.formats.reprojection import KEY, Reprojection
 from spl_batch.formats.verified.parquet_npz import read_arrays
-
-EVEN: Final = 1e-6
-"""An edge of an area this near to one of a cell lies on it [cells]."""
 
 
 def deliver_client_tile(args: Mapping[str, Any], context: Context) -> Produced:
@@ -104,11 +100,12 @@ def _cut_raster(source: Path, target: Path, area: shapely.Geometry) -> bool:
     with parts.opened(source) as model:
         (left_m, top_m, cell_m), (rows, columns) = parts.place_m(model), model.shape
         west, south, east, north = shapely.bounds(area).tolist()
-        first_col = max(math.floor((west - left_m) / cell_m + EVEN), 0)
-        last_col = min(math.ceil((east - left_m) / cell_m - EVEN), columns)
-        first_row = max(math.floor((top_m - north) / cell_m + EVEN), 0)
-        last_row = min(math.ceil((top_m - south) / cell_m - EVEN), rows)
-
+        across = parts.cells_between((west - left_m) / cell_m, (east - left_m) / cell_m)
+        down = parts.cells_between((top_m - north) / cell_m, (top_m - south) / cell_m)
+        (first_col, last_col), (first_row, last_row) = (
+            (max(first, 0), min(past, held))
+            for (first, past), held in ((across, columns), (down, rows))
+        )
         if first_col >= last_col or first_row >= last_row:
             return False
         whole = Window(first_col, first_row, last_col - first_col, last_row - first_row)
@@ -170,10 +167,10 @@ def deliver_contours(args: Mapping[str, Any], context: Context) -> Produced:
 
 
 def _reprojection(context: Context) -> Reprojection:
-    named = context.workflow.outputs.crs
-    if named is None:  # a plan makes no such task
+    found = reprojection(context.workflow.outputs, context.crs)
+    if found is None:  # a plan makes no such task
         raise WorkflowError(f"{KEY}: none is named")
-    return Reprojection(context.crs, named)
+    return found
 
 
 def reproject_file(args: Mapping[str, Any], context: Context) -> Produced:

@@ -73,5 +73,5 @@ def test_a_checkpoint_with_a_blunder_is_warned_of(error_m: float, *, warned: boo
     said = list(checkpoint_findings(tested, context))
     assert len(said) == warned
     assert all(one.values["worst"] == "p17" for one in said)
-    assert all(one.values["error_cm"] == pytest.approx(100 * error_m) for one in said)
+    assert all(one.values["error_m"] == pytest.approx(error_m) for one in said)
     assert not list(checkpoint_findings(None, context))
