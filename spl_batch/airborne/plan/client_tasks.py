@@ -26,7 +26,9 @@ def client_tiles(survey: Survey) -> Iterator[Task]:
     rasters, of_rasters = delivered_rasters(survey)
     for one in survey.inputs.areas:
         low_x, low_y, high_x, high_y = (QUANTA_PER_M * end for end in shapely.bounds(one.shape))
-        bounds = Bounds(math.floor(low_x), math.floor(low_y), math.ceil(high_x), math.ceil(high_y))
+        # A point within may have been rounded to the next quantum.
+        north_east = math.ceil(high_x) + 1, math.ceil(high_y) + 1
+        bounds = Bounds(math.floor(low_x), math.floor(low_y), *north_east)
         keys = sorted(index.overlapping(bounds), key=lambda key: str(delivered[key].facts["name"]))
         args = {
             "name": one.name,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
-from spl_batch.airborne.catalogue.catalogues import Layer, write_layers
+from spl_batch.airborne.catalogue.catalogues import Layer, in_units, write_layers
 from spl_batch.airborne.catalogue.delivered_files import CLIENT_TILES, CONTOURS
 from spl_batch.airborne.context import Context, reprojection
 from spl_batch.airborne.store.flown_lines import read_shifts
@@ -33,7 +33,7 @@ from spl_batch.formats.verified.parquet_npz import read_arrays
 
 def deliver_client_tile(args: Mapping[str, Any], context: Context) -> Produced:
     """Cut a tile out of delivered clouds and rasters; what has nothing there is left out."""
-    name, area = args["name"], shapely.from_wkb(args["area"])
+    name, area = args["name"], in_units(shapely.from_wkb(args["area"]), context.units)
     shapely.prepare(area)
     folder, outputs = context.output / CLIENT_TILES, []
     settings = context.workflow.outputs.client_tiles
@@ -69,7 +69,6 @@ def _cut_cloud(
             whole,
             pieces,
             partial(lies_in, area),
-            units=context.units,
             records_of_file=[] if record is None else [record],
         )
         if points and copc:
@@ -89,19 +88,22 @@ def _ranges(source: str, area: shapely.Geometry, context: Context) -> list[tuple
     starts = np.minimum(np.arange(len(boxes) + 1) * CHUNK_POINTS, points)
     if "kept" in facts:
         starts = np.concatenate([[0], np.cumsum(facts["kept"])])
-    west, south, east, north = np.array(shapely.bounds(area)) * QUANTA_PER_M
-    near = (boxes[:, 0] <= east) & (boxes[:, 2] >= west - 1)
-    near &= (boxes[:, 1] <= north) & (boxes[:, 3] >= south - 1) & (np.diff(starts) > 0)
+    ends_m = np.array(shapely.bounds(area)) * context.units.horizontal_m
+    # Boxes are of places that were rounded to whole quanta.
+    west, south, east, north = ends_m * QUANTA_PER_M + [-1, -1, 1, 1]
+    near = (boxes[:, 0] <= east) & (boxes[:, 2] >= west)
+    near &= (boxes[:, 1] <= north) & (boxes[:, 3] >= south) & (np.diff(starts) > 0)
     return [(int(starts[k]), int(starts[k + 1])) for k in np.flatnonzero(near).tolist()]
 
 
 def _cut_raster(source: Path, target: Path, area: shapely.Geometry) -> bool:
-    """Cells of a raster whose centres lie in an area; whether there are any."""
+    """Cells of a raster whose centres lie in an area, in its unit; whether there are any."""
     with parts.opened(source) as model:
-        (left_m, top_m, cell_m), (rows, columns) = parts.place_m(model), model.shape
+        place, (rows, columns) = model.transform, model.shape
+        left, top, cell = place.c, place.f, place.a
         west, south, east, north = shapely.bounds(area).tolist()
-        across = parts.cells_between((west - left_m) / cell_m, (east - left_m) / cell_m)
-        down = parts.cells_between((top_m - north) / cell_m, (top_m - south) / cell_m)
+        across = parts.cells_between((west - left) / cell, (east - left) / cell)
+        down = parts.cells_between((top - north) / cell, (top - south) / cell)
         (first_col, last_col), (first_row, last_row) = (
             (max(first, 0), min(past, held))
             for (first, past), held in ((across, columns), (down, rows))
@@ -114,8 +116,8 @@ def _cut_raster(source: Path, target: Path, area: shapely.Geometry) -> bool:
             """Those that hold anything."""
             for window in parts.windows(whole, parts.BLOCK):
                 values = model.read(1, window=window)
-                x, y = parts.centres((left_m, top_m), cell_m, window)
-                inside = lies_in(area, x.ravel() * QUANTA_PER_M, y.ravel() * QUANTA_PER_M)
+                x, y = parts.centres((left, top), cell, window)
+                inside = lies_in(area, x.ravel(), y.ravel())
                 kept = np.where(inside.reshape(values.shape), values, np.float32(NODATA))
                 if (kept != NODATA).any():
                     yield window.row_off - first_row, window.col_off - first_col, kept
@@ -128,7 +130,7 @@ def _cut_raster(source: Path, target: Path, area: shapely.Geometry) -> bool:
             target,
             chain([first], some),
             shape=(whole.height, whole.width),
-            place=model.transform * Affine.translation(first_col, first_row),
+            place=place * Affine.translation(first_col, first_row),
             crs=model.crs.to_wkt() if model.crs else None,
             description=model.descriptions[0] or source.name,
             unit=model.units[0] or "",
