@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 from pyproj.enums import TransformDirection
@@ -147,6 +148,14 @@ class Reprojection:
             return np.column_stack(self._whole.transform(x, y, z, errcheck=len(xyz) == 1))
         x, y = self._flat.transform(x, y)
         return np.column_stack([x, y, z * self._ratio])
+
+    def shape(self, shape: shapely.Geometry) -> shapely.Geometry:
+        """A shape with its vertices in the target, from the unit of the survey's CRS."""
+
+        def moved(xy: Places) -> Places:
+            return np.column_stack(self._flat.transform(*xy.T))
+
+        return shapely.transform(shape, moved)
 
     def cloud(self, src: Path, dst: Path) -> int:
         """Write a delivered cloud to a thousandth of the unit, all dimensions kept; its points.

@@ -16,14 +16,20 @@ from spl_batch.lattice.tiles import Bounds, BoxIndex, cells_touching, shared
 
 
 def client_tiles(survey: Survey) -> Iterator[Task]:
-    """Named areas, each with the delivered clouds and rasters that it is cut out of."""
+    """Named areas, each with the delivered clouds and rasters that it is cut out of.
+
+    Where outputs.units names another unit than the survey's, these are the ones in it.
+    """
     settings = survey.workflow.outputs.client_tiles
     if settings is None:
         return
     delivered, indexed = survey.of("deliver_file"), survey.of("index_file")
     boxes = {key: indexed[key].facts["bounds"] for key in delivered}
     index = BoxIndex({key: Bounds(b[0], b[1], b[3] + 1, b[4] + 1) for key, b in boxes.items() if b})
-    rasters, of_rasters = delivered_rasters(survey)
+    outputs = survey.workflow.outputs
+    moved = reprojection(outputs, survey.inputs.crs)
+    elsewhere = outputs.crs is None and moved is not None and moved.moves_points
+    rasters, of_rasters = delivered_rasters(survey, elsewhere=elsewhere)
     for one in survey.inputs.areas:
         low_x, low_y, high_x, high_y = (QUANTA_PER_M * end for end in shapely.bounds(one.shape))
         # A point within may have been rounded to the next quantum.
@@ -34,10 +40,14 @@ def client_tiles(survey: Survey) -> Iterator[Task]:
             "name": one.name,
             "area": shapely.to_wkb(one.shape, hex=True),
             "sources": [[key, delivered[key].facts["name"]] for key in keys],
+            "clouds": "reprojected/laz" if elsewhere else "laz",
             "rasters": rasters,
+            "in_another_unit": elsewhere,
             "aligned": bool(aligned(survey)),
         }
-        needs = (*(("deliver_file", key) for key in keys), *of_rasters, *aligned(survey))
+        kinds = ("deliver_file", "reproject_file")[: 1 + elsewhere]
+        of_clouds = ((kind, key) for kind in kinds for key in keys)
+        needs = (*of_clouds, *of_rasters, *aligned(survey))
         flown = cells_touching(shared(bounds, mosaic_bounds(survey)), survey.tile_q)
         points = sum(survey.counts.get(tile, 0) for tile in flown)
         refused = ""

@@ -34,6 +34,8 @@ from spl_batch.formats.verified.parquet_npz import read_arrays
 def deliver_client_tile(args: Mapping[str, Any], context: Context) -> Produced:
     """Cut a tile out of delivered clouds and rasters; what has nothing there is left out."""
     name, area = args["name"], in_units(shapely.from_wkb(args["area"]), context.units)
+    if args["in_another_unit"]:
+        area = _reprojection(context).shape(area)
     shapely.prepare(area)
     folder, outputs = context.output / CLIENT_TILES, []
     settings = context.workflow.outputs.client_tiles
@@ -54,10 +56,11 @@ def _cut_cloud(
     args: Mapping[str, Any], area: shapely.Geometry, target: Path, context: Context, *, copc: bool
 ) -> int:
     """Points of a tile, written where there are any [count]."""
+    clouds, near = context.output / args["clouds"], shapely.from_wkb(args["area"])
     pieces = [
-        Piece(context.output / "laz" / name, ranges)
+        Piece(clouds / name, ranges)
         for source, name in args["sources"]
-        if (ranges := _ranges(source, area, context))
+        if (ranges := _ranges(source, near, context))
     ]
     if not pieces:
         return 0
@@ -80,7 +83,7 @@ def _cut_cloud(
 
 
 def _ranges(source: str, area: shapely.Geometry, context: Context) -> list[tuple[int, int]]:
-    """Records of a delivered file that may lie in an area, by the boxes of its chunks."""
+    """Records of a delivered file that may lie in an area [m], by the boxes of its chunks."""
     boxes = read_arrays(context.store.path("index", f"{source}.npz"))[BOXES]
     receipt = read_receipt(context.store, "deliver_file", source)
     facts = {} if receipt is None else receipt.facts
@@ -88,9 +91,8 @@ def _ranges(source: str, area: shapely.Geometry, context: Context) -> list[tuple
     starts = np.minimum(np.arange(len(boxes) + 1) * CHUNK_POINTS, points)
     if "kept" in facts:
         starts = np.concatenate([[0], np.cumsum(facts["kept"])])
-    ends_m = np.array(shapely.bounds(area)) * context.units.horizontal_m
     # Boxes are of places that were rounded to whole quanta.
-    west, south, east, north = ends_m * QUANTA_PER_M + [-1, -1, 1, 1]
+    west, south, east, north = np.array(shapely.bounds(area)) * QUANTA_PER_M + [-1, -1, 1, 1]
     near = (boxes[:, 0] <= east) & (boxes[:, 2] >= west)
     near &= (boxes[:, 1] <= north) & (boxes[:, 3] >= south) & (np.diff(starts) > 0)
     return [(int(starts[k]), int(starts[k + 1])) for k in np.flatnonzero(near).tolist()]

@@ -126,7 +126,7 @@ def height(metres: float | None, unit: tuple[str, float]) -> str:
     return f"{number(metres / unit_m, 3)}{THIN}{name} ({centimetres(metres)})"
 
 
-def length(metres: float, unit: tuple[str, float]) -> str:
+def length_in_unit(metres: float, unit: tuple[str, float]) -> str:
     """A length in the unit of delivery, with metres beside: whole from ten on, else hundredths.
 
     ``unit``: as of :func:`height`.

@@ -5,7 +5,7 @@ from string import Formatter
 from typing import Any, Final
 
 from spl_batch.engine.findings import Box, Finding, settled, table
-from spl_batch.engine.report.number_format import as_ascii, height, length
+from spl_batch.engine.report.number_format import as_ascii, height, length_in_unit
 from spl_batch.engine.report.parts import FindingReport
 from spl_batch.errors import counted, grouped, named
 from spl_batch.formats.units import METRES, Units
@@ -88,7 +88,7 @@ def _within(place: Box, units: Units) -> str:
     return f"within x {west} to {east} and y {south} to {north} {name}"
 
 
-_OF_HEIGHTS: Final = {"length": length, "height": height}
+_OF_HEIGHTS: Final = {"length": length_in_unit, "height": height}
 """Specifications of values in metres, and how they are written in the unit of delivery."""
 
 
