@@ -21,6 +21,7 @@ from spl_batch.airborne.plan.task_memory import (
 )
 from spl_batch.airborne.settings.workflow import parse_workflow
 from spl_batch.airborne.steps import STEPS
+from spl_batch.constants import FOOT_M
 from spl_batch.engine.plan import budget, worker_memory
 from spl_batch.engine.plan.worker_memory import usable_bytes
 from spl_batch.engine.report.run_record import RunFacts, StageCost, performance
@@ -29,6 +30,7 @@ from spl_batch.engine.tasks import runner
 from spl_batch.engine.tasks.ledger import Shelf
 from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.engine.tasks.worklist import Worklist
+from spl_batch.formats.units import METRES, Units
 from spl_batch.lattice.density import from_counts
 from spl_batch.lattice.tiles import CellId
 
@@ -185,6 +187,17 @@ def test_a_surface_cell_of_many_raster_cells_asks_for_larger_ones() -> None:
     for workflow, remedy in ((WORKFLOW, STEPS["surface"].remedy), (fine, "raise products.cell_m")):
         (surface,) = (n for n in needs(pieces, workflow, [10**6], 1) if "surface" in n.task)
         assert surface.remedy == remedy
+
+
+def test_the_fullest_place_is_named_in_the_unit_of_the_survey() -> None:
+    pieces = list(from_counts({CellId(3, 5): 10**6}, 100_000))
+    foot = Units("foot", FOOT_M, "foot", FOOT_M)
+    for units, place in (
+        (METRES, "tile around x 350, y 550 with"),
+        (foot, "tile around x 1148, y 1804 ft (x 350, y 550 m) with"),
+    ):
+        found = needs(pieces, WORKFLOW, [10**6], 1, units=units)
+        assert any(place in one.task for one in found), found
 
 
 def test_a_trajectory_of_any_length_fits_and_a_tile_needs_what_its_task_is_given(
