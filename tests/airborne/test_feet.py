@@ -18,7 +18,6 @@ from spl_batch.airborne.report import summarise
 from spl_batch.constants import NODATA
 from spl_batch.engine.findings import Finding
 from spl_batch.errors import grouped
-from spl_batch.formats.crs import in_unit
 from spl_batch.formats.units import METRES, US_FOOT, Units
 from tests import surveys
 
@@ -48,12 +47,13 @@ def twins(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
         text = f"id,x,y,z,accuracy_m\nA,{x:.6f},{y:.6f},{20.2 / unit_m:.6f},0.01\n"
         (folder / "checkpoints.csv").write_text(text)
     outputs = {"tiles": "copc", "crs": FEET, "cell": 3}
-    # A client of the metric survey wants feet.
+    # A client of the metric survey wants feet: tiles with edges at whole ones.
     x, y = np.rint(np.divide(surveys.ORIGIN_M, US_M))
     tiles = [shapely.box(x - 60, y - 60, x + 6, y + 60), shapely.box(x + 6, y - 60, x + 18, y + 60)]
+    drawn = shapely.to_wkb(shapely.transform(tiles, lambda xy: xy * US_M))
     pyogrio.raw.write(
-        metres / "tiles.gpkg", shapely.to_wkb(tiles), [np.array(["A", "B"], object)], ["name"],
-        geometry_type="Polygon", crs=in_unit(CRS(surveys.CRS_NAME), US_FOOT).to_wkt(),
+        metres / "tiles.gpkg", drawn, [np.array(["A", "B"], object)], ["name"],
+        geometry_type="Polygon", crs=surveys.CRS_NAME,
     )  # fmt: skip
     in_metres = surveys.write_workflow(
         metres,
