@@ -16,7 +16,7 @@ from spl_batch.formats.verified.parquet_npz import (
     write_table,
     writing,
 )
-from spl_batch.lattice.tables import COLUMNS, PointTable
+from spl_batch.lattice.tables import COLUMNS, PointTable, canonical_order
 
 NAMES = ("x", "y", "z", "gps_time", "channel", "return_number", "source", "index", "p_value")
 
@@ -88,3 +88,16 @@ def test_arrays_round_trip_with_reproducible_bytes(tmp_path: Path) -> None:
     for name, values in arrays.items():
         assert back[name].dtype == values.dtype
         assert np.array_equal(back[name], values)
+
+
+@given(st.integers(0, 5), st.randoms(use_true_random=False))
+def test_canonical_order_does_not_depend_on_row_order(seed: int, random: object) -> None:
+    rng = np.random.default_rng(seed)
+    few = {k: rng.integers(0, 3, 60).astype(COLUMNS[k].dtype) for k in NAMES if k != "index"}
+    table = PointTable({**few, "index": np.arange(60, dtype=np.uint32)})
+    shuffled = list(range(60))
+    random.shuffle(shuffled)  # type: ignore[attr-defined]
+    other = table.take(np.array(shuffled))
+    first, second = (t.take(canonical_order(t)) for t in (table, other))
+    assert_same(first, second)
+    assert np.all(np.diff(first["x"]) >= 0)
