@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from spl_batch import api
+from spl_batch.altimetry.compare.comparison import METHODS
 from spl_batch.engine.watch.events import TaskEnded
 from tests import surveys
 from tests.altimetry.tracks import (
@@ -62,6 +63,16 @@ def test_one_method_more_costs_itself_alone(compared: Path) -> None:
     assert again.exit_status == 0
     kinds = [event.kind for event in seen if isinstance(event, TaskEnded)]
     assert sorted(kinds) == sorted(["label", "profile", "compare", "deliver_beam", "deliver_file"])
+
+
+@pytest.mark.parametrize("methods", ["mdbscan", "mdbscan,mdbscan", "mdbscan,voxel", ""])
+def test_a_wrong_list_names_what_there_is(methods: str, tmp_path: Path) -> None:
+    write_atl03(tmp_path / "atl03.h5", {"gt1r": small_track(5)})
+    ended = surveys.command("compare", write_workflow(tmp_path, "atl03.h5"), "--methods", methods)
+    assert ended.status == 2
+    assert METHODS.known in ended.err
+    assert len(ended.err.strip().splitlines()) == 1
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_receiver_of_one_method_says_so() -> None:

@@ -176,3 +176,19 @@ def test_plan_says_what_a_run_would_do(small_lines: Path, tmp_path: Path) -> Non
     assert ended.status == 1
     assert "bad_1.laz" in ended.out
     assert "bad_2.laz" in ended.out
+
+
+def test_simulate_writes_a_survey_that_can_be_planned(tmp_path: Path) -> None:
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(
+        "name: mini\nextent_m: [30, 30]\nflights:\n  - {heading_deg: 0, speed_m_s: 100}\n"
+        "acquisition: {prf_hz: 5000, gate_m: 100}\n"
+    )
+    ended = surveys.command("simulate", scene, tmp_path / "out")
+    assert ended.status == 0, ended.text
+    assert str(tmp_path / "out/workflow.yaml") in ended.out
+    assert surveys.command("plan", tmp_path / "out/workflow.yaml").status == 0
+    scene.write_text("extent: 5\n")
+    ended = surveys.command("simulate", scene, tmp_path / "no")
+    assert ended.status == 2
+    assert "extent" in ended.err
