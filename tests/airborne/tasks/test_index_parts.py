@@ -1,8 +1,7 @@
 """A large file is indexed by parts: the same is known, kept and delivered as in one go."""
 
 import json
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -105,33 +104,21 @@ def test_a_part_that_cannot_be_read_fails_its_file_once(small: Path, small_outpu
     assert surveys.results(surveys.run(small).output) == surveys.results(small_output)
 
 
-@contextmanager
-def before_the_second_part(path: Path, happens: Callable[[], None]) -> Iterator[None]:
-    """What happens to a file each time that its second part is going to be read."""
+def test_a_part_that_could_not_be_read_once_is_read_by_the_next_run(
+    small: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = min((small.parent / "lines").glob("*.laz"))
     read = index.iter_points
 
-    def reading(file: Path, *, start: int, **options: Any) -> Any:
+    def failing(file: Path, *, start: int, **options: Any) -> Any:
         if file == path and start == POINTS:
-            happens()
+            raise InputError(str(path), "the disk is away")
         return read(file, start=start, **options)
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(index, "iter_points", reading)
-        yield
-
-
-def raising(error: Exception) -> Callable[[], None]:
-    def fail() -> None:
-        raise error
-
-    return fail
-
-
-def test_a_part_that_could_not_be_read_once_is_read_by_the_next_run(small: Path) -> None:
-    path = min((small.parent / "lines").glob("*.laz"))
-    with before_the_second_part(path, raising(InputError(str(path), "the disk is away"))):
-        result, _ = events(small, until="index")
+    monkeypatch.setattr(index, "iter_points", failing)
+    result, _ = events(small, until="index")
     assert result.exit_status == 1
+    monkeypatch.setattr(index, "iter_points", read)
     again, told = events(small, until="index")
     assert again.exit_status == 0
     (part,) = done(told, "index_part")
@@ -139,11 +126,18 @@ def test_a_part_that_could_not_be_read_once_is_read_by_the_next_run(small: Path)
 
 
 def test_a_part_that_is_lost_leaves_its_file_out_and_is_tried_again_alone(
-    small: Path, small_output: Path
+    small: Path, small_output: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = min((small.parent / "lines").glob("*.laz"))
-    with before_the_second_part(path, raising(MemoryError("no room"))):
-        result, told = events(small)
+    read = index.iter_points
+
+    def failing(file: Path, *, start: int, **options: Any) -> Any:
+        if file == path and start == POINTS:
+            raise MemoryError("no room")
+        return read(file, start=start, **options)
+
+    monkeypatch.setattr(index, "iter_points", failing)
+    result, told = events(small)
     assert result.exit_status == 1
     (failure,) = result.report.failures
     assert failure.task.startswith("index_part ")
@@ -153,29 +147,32 @@ def test_a_part_that_is_lost_leaves_its_file_out_and_is_tried_again_alone(
     assert counts.points_in == counts.points_out > 0
     assert counts.not_read == len(surveys.cloud(path)["X"])
     assert len(done(told, "index_file")) == 1
+    monkeypatch.setattr(index, "iter_points", read)
     again, told = events(small)
     assert done(told, "index_part") == [failure.task.split()[1]]
     assert surveys.results(again.output) == surveys.results(small_output)
 
 
 def test_a_file_that_changes_after_a_part_was_read_is_not_mixed(
-    small: Path, small_output: Path
+    small: Path, small_output: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = min((small.parent / "lines").glob("*.laz"))
-    before = path.read_bytes()
+    before, read = path.read_bytes(), index.iter_points
     line = surveys.flightline(shots=200, psid=1, seed=77)
     as_many = surveys.take(line, slice(0, len(surveys.cloud(path)["X"])))
 
-    def change() -> None:
-        if path.read_bytes() == before:
+    def reading(file: Path, *, start: int, **options: Any) -> Any:
+        if file == path and start == POINTS and path.read_bytes() == before:
             surveys.write_cloud(path, as_many)
+        return read(file, start=start, **options)
 
-    with before_the_second_part(path, change):
-        result = surveys.run(small, until="deliver")
+    monkeypatch.setattr(index, "iter_points", reading)
+    result = surveys.run(small, until="deliver")
     assert result.exit_status == 1
     (failure,) = api.status(result.output).failures
     assert f"{path}: has changed since the run began" in failure.reason
     assert not (result.output / "laz" / "lines" / path.name).exists()
+    monkeypatch.setattr(index, "iter_points", read)
     path.write_bytes(before)
     again = surveys.run(small, until="deliver")
     assert again.exit_status == 0
