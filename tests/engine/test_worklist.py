@@ -238,5 +238,5 @@ def test_a_plan_counts_what_many_small_files_take_beside_their_points() -> None:
         sources = tuple(SimpleNamespace(facts=facts, key=k) for k in range(files))
         inputs = Inputs(sources, (), (), ReferenceFiles((), ()), None, ())  # type: ignore[arg-type]
         times.append(estimate(Survey(inputs, WORKFLOW, 2**32, 2)).time_s)
-    assert times[0] < 2
+    assert times[0] < 10
     assert 30 < times[1] < 300
