@@ -20,7 +20,6 @@ from spl_batch.engine.verbs.output_owner import usable
 from spl_batch.engine.verbs.receiver import Prepared, Receiver
 from spl_batch.errors import WorkflowError, grouped, refuse_without, storage, told_together
 from spl_batch.formats.files.atomic import names_in, real_path
-from spl_batch.formats.units import Units
 from spl_batch.receivers import receiver
 
 REMOTE_BYTES: Final = 4 * 2**30
@@ -97,7 +96,7 @@ def plan(
         *deliveries.gone_inputs(),
         *_too_full(prepared.context.output, 0 if finished or store.url else cost.disk_bytes),
     )
-    units, ignored = Units.of(prepared.context.crs), prepared.context.workflow.report.ignore
+    units, ignored = prepared.context.shown_units, prepared.context.workflow.report.ignore
     return PlanSummary(
         len(inputs.sources) - look.unreadable,
         cost.points - look.unreadable_points,
