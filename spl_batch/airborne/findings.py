@@ -101,7 +101,7 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "vertical": "no vertical CRS in the file; its heights are taken as {crs}, as of "
                 "others",
                 "unit": "nothing states the unit of heights; they are taken in {unit}, as "
-                "eastings are",
+                "eastings are (survey.vertical_crs: {codes})",
             },
             "rasters and clouds name none, or that one, or that of others",
             "write `crs: EPSG:...` or `vertical_crs: EPSG:...` under survey",

@@ -19,7 +19,7 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
 from spl_batch.errors import InputError, counted, grouped
-from spl_batch.formats.crs import crs_name, crs_problems, horizontal, parse_crs
+from spl_batch.formats.crs import crs_name, crs_problems, horizontal, no_survey_crs, parse_crs
 from spl_batch.formats.files.atomic import stop_if_full
 from spl_batch.formats.gps_clock import TimeStandard, clock, time_standard
 from spl_batch.formats.trajectory.records import COLUMNS, SBET_SUFFIXES, Records, read_records
@@ -261,9 +261,7 @@ def _conversion(
     if crs is None:
         return units.metres
     if survey is None:
-        raise InputError(
-            str(path), f"is in {crs_name(crs)}, the survey has no CRS: name it in survey.crs"
-        )
+        raise InputError(str(path), no_survey_crs(crs))
     problems = crs_problems(survey)
     if problems:
         raise InputError(str(path), problems)

@@ -23,12 +23,14 @@ from spl_batch.errors import (
 )
 from spl_batch.formats.checkpoints import Checkpoint
 from spl_batch.formats.crs import (
+    completed,
+    heights_fault,
     like_degrees,
     look_like_degrees,
+    no_survey_crs,
     other_crs,
     parse_crs,
     same_crs,
-    vertical,
 )
 from spl_batch.formats.files.atomic import real_path
 from spl_batch.formats.las.reader import LasFacts
@@ -57,7 +59,7 @@ def checked_reference(
     stated = settings.crs if settings else None
     given = None if stated is None else parse_crs(stated, "reference.crs")
     known, damaged = inspected(paths)
-    good, elsewhere = usable(known, lambda f: _crs_fault(f, f.crs or given, crs, others))
+    good, elsewhere = usable(known, lambda f: _crs_fault(f, completed(f.crs, given), crs, others))
     if elsewhere and not good:
         told = (f"reference.points: {text}" for text in told_together([*damaged, *elsewhere]))
         raise WorkflowError("; ".join(told))
@@ -71,12 +73,12 @@ def _crs_fault(
     """Why a file cannot be compared with a survey of this CRS; empty if it can."""
     if found is None and facts.n_points and look_like_degrees(facts.mins_m, facts.maxs_m):
         return like_degrees([facts.mins_m, facts.maxs_m], "reference.crs")
-    if crs is None or found is None:
+    if found is None:
         return ""
+    if crs is None:
+        return no_survey_crs(found)
     if same_crs(found, crs):
-        mine, ours = Units.of(found).vertical, Units.of(crs).vertical
-        stated = vertical(found) is not None and mine != ours
-        return f"its heights are in {mine}, the survey's in {ours}; reproject it" * stated
+        return heights_fault(found, crs, "name it in reference.crs:")
     remedy = "reproject it"
     if others:
         remedy = (
