@@ -12,10 +12,13 @@ from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError, ProjError
 from pyproj.transformer import TransformerGroup
 
-from spl_batch.errors import WorkflowError
+from spl_batch.errors import WorkflowError, named
 from spl_batch.formats.units import Units, in_words, metres_in
 
 WKT_KEY: Final = ("LASF_Projection", 2112)
+WKT_KEYS: Final = (WKT_KEY, ("liblas", 2112))
+"""Records of WKT: that of LAS, and that which libLAS and early PDAL wrote beside GeoTIFF keys."""
+
 NAMELESS: Final = ("", "unknown", "unnamed")
 """Names that GDAL gives to a vertical CRS of which keys have the unit only."""
 
@@ -222,9 +225,32 @@ def same_crs(a: CRS, b: CRS) -> bool:
 
 def other_crs(found: CRS, survey: CRS) -> str:
     """Sentence about a CRS that is not the survey's."""
+    text = f"CRS {found.name!r} is not the survey's {survey.name!r}"
     if found.name == survey.name:
-        return f"CRS {found.name!r} has other parameters than the survey's of that name"
-    return f"CRS {found.name!r} is not the survey's {survey.name!r}"
+        text = f"CRS {found.name!r} has other parameters than the survey's of that name"
+    return f"{text} ({apart})" if (apart := differences(found, survey)) else text
+
+
+def differences(a: CRS, b: CRS) -> str:
+    """In which parameters two projections differ, with the values of both, the first three."""
+    one, other = _parameters(a), _parameters(b)
+    apart = [key for key in one if key in other and one[key][0] != other[key][0]]
+    return named([f"{key} {one[key][1]} against {other[key][1]}" for key in apart], 3)
+
+
+def _parameters(crs: CRS) -> dict[str, tuple[str, str]]:
+    """Parts of a projected CRS by name: as they are compared, and in words."""
+    flat, unit = horizontal(crs), Units.of(crs).horizontal
+    found = {"unit": (unit, unit)}
+    operation = flat.coordinate_operation
+    if operation is not None and flat.is_projected:
+        found["method"] = (operation.method_code or operation.method_name, operation.method_name)
+        for one in operation.params:
+            value = f"{one.value * one.unit_conversion_factor:.9g}"
+            found[one.name] = (value, f"{one.value:.10g} {one.unit_name}")
+    if flat.datum is not None:
+        found["datum"] = (flat.datum.name, flat.datum.name)
+    return found
 
 
 def crs_name(crs: CRS) -> str:

@@ -15,6 +15,7 @@ from spl_batch.formats.crs import (
     crs_problems,
     heights_fault,
     heights_ratio,
+    other_crs,
     other_heights,
     same_crs,
     same_heights,
@@ -86,6 +87,15 @@ def test_same_crs() -> None:
     assert same_crs(utm, CRS.from_wkt(utm.to_wkt("WKT1_ESRI")))
     assert not same_crs(utm, CRS.from_epsg(32616))
     assert not same_crs(utm, CRS.from_epsg(4326))
+
+
+def test_the_parameter_that_differs_is_named() -> None:
+    right = CRS("EPSG:2992").to_wkt("WKT1_GDAL")
+    wrong = CRS(right.replace("1312335.958", "400000"))
+    said = other_crs(wrong, CRS(right))
+    assert "has other parameters than the survey's of that name" in said
+    assert "(Easting at false origin 400000 foot against 1312335.958 foot)" in said
+    assert "against" not in other_crs(CRS(right), CRS("EPSG:2992"))
 
 
 def test_a_named_vertical_crs_completes_that_of_the_files(tmp_path: Path) -> None:

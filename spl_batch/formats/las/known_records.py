@@ -17,9 +17,11 @@ from spl_batch.errors import brief, is_fault, one_line, plain
 from spl_batch.formats.crs import (
     NAMELESS,
     WKT_KEY,
+    WKT_KEYS,
     compound,
     crs_from_wkt,
     crs_name,
+    differences,
     horizontal,
     same_crs,
     same_heights,
@@ -61,8 +63,10 @@ def header_crs(header: LasHeader) -> tuple[CRS | None, tuple[str, ...]]:
     rivals = _rivals(header)
     if rivals is not None:
         names, bit = [crs_name(crs) for crs in rivals], _keys_count(header)
+        apart = differences(*rivals)
         text = (
-            f"its WKT record says {names[0]}, its GeoTIFF keys {names[1]}: the "
+            f"its WKT record says {names[0]}, its GeoTIFF keys {names[1]}"
+            f"{f' ({apart})' if apart else ''}: the "
             f"{'keys count' if bit else 'record counts'}, by the header's WKT bit and point format;"
             " correct the file if that is wrong"
         )
@@ -79,7 +83,7 @@ def outvoted_records(header: LasHeader) -> Iterable[tuple[str, int]]:
     """Records of the CRS that does not count, where two contradict each other."""
     if _rivals(header) is None:
         return ()
-    return (WKT_KEY,) if _keys_count(header) else GEO_KEYS
+    return WKT_KEYS if _keys_count(header) else GEO_KEYS
 
 
 def _keys_count(header: LasHeader) -> bool:
@@ -132,10 +136,11 @@ def _keys_crs(header: LasHeader) -> CRS | None:
 
 
 def _wkt_crs(header: LasHeader) -> CRS | None:
-    vlr = header.vlr(*WKT_KEY)
+    evlr = next((e for e in header.evlrs if e.key == WKT_KEY), None)
+    keys = WKT_KEYS if evlr is None else (WKT_KEY,)
+    vlr = next(filter(None, (header.vlr(*key) for key in keys)), None)
     if vlr is not None:
         return crs_from_wkt(vlr.data)
-    evlr = next((e for e in header.evlrs if e.key == WKT_KEY), None)
     if evlr is None:
         return None
     with open_input(header.path) as file:
@@ -196,7 +201,7 @@ def kept_records(header: LasHeader, crs: CRS | None) -> tuple[list[Vlr], list[Ev
     own = header_crs(header)[0]
     written = _delivered_crs(own, crs)
     if written is not own:
-        dropped.add(WKT_KEY)
+        dropped.update(WKT_KEYS)
 
     def is_kept(record: Vlr | Evlr) -> bool:
         gone = record.key in dropped or record.key[0] == "copc"

@@ -59,7 +59,10 @@ def survey_crs(
     given = given or _of_most((facts, facts.crs and horizontal(facts.crs)) for facts in good)
     if given is None:
         return None, good, bad
-    remedy = "; reproject the file"
+    remedy = (
+        "; reproject the file, or if its CRS is wrong write the right one into it, "
+        "e.g. pdal translate in.laz out.laz --writers.las.a_srs=EPSG:..."
+    )
     if stated is not None:
         remedy += ", or leave out survey.crs, which is for files that carry none"
 
