@@ -9,7 +9,7 @@ import rasterio
 from pyproj import CRS, Transformer
 
 from spl_batch.constants import FOOT_M, NODATA, QUANTUM_M
-from spl_batch.errors import WorkflowError
+from spl_batch.errors import InputError, WorkflowError
 from spl_batch.formats.crs import compound
 from spl_batch.formats.geoid import Geoid
 from spl_batch.formats.las.reader import inspect, iter_points
@@ -17,7 +17,7 @@ from spl_batch.formats.las.writer import write_points
 from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.formats.rasters.parts import overview_frame, read_overview, read_part
 from spl_batch.formats.reprojection import Reprojection
-from spl_batch.formats.trajectory.positions import gathering
+from spl_batch.formats.trajectory.positions import PointExtent, gathering
 from spl_batch.formats.units import METRES, US_FOOT, Units
 from tests import surveys
 from tests.formats.test_geoid import write_grid
@@ -94,6 +94,13 @@ def test_a_trajectory_in_the_surveys_feet_is_read_in_metres(tmp_path: Path, name
     with gathering([path], survey_crs=crs, trajectory_crs=named) as found:
         ((_, xyz),) = found
     np.testing.assert_allclose(xyz[1], np.array([3_000_100, 13_000_000, 6000]) * US_M, atol=1e-6)
+    points = PointExtent((1.0, 2.0), (0.0, 13_000_000 * US_M, 100.0, 13_000_000 * US_M))
+    told = r"x 3000050, y 13000000 ft is 2 999 672 ft \(914 302 m\) from the points"
+    with (
+        pytest.raises(InputError, match=told),
+        gathering([path], survey_crs=crs, trajectory_crs=named, points=points) as found,
+    ):
+        list(found)
 
 
 def test_a_geoid_below_a_survey_in_feet(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from spl_batch.engine.findings import Finding
 from spl_batch.errors import InputError, grouped, named
 from spl_batch.formats.crs import like_degrees, look_like_degrees
 from spl_batch.formats.las.reader import LasFacts, inspect
+from spl_batch.formats.units import Units
 
 FAR_M: Final = 10_000.0
 """Gap up to which parts belong to a survey however short its files are [m]: groups of flightlines
@@ -29,11 +30,12 @@ THINNEST: Final = 1e-3
 of a tile, as a share of the tile of most points."""
 
 
-def extent(places_m: ArrayLike) -> str:
-    """Box around places, (n, 2) [m], in words."""
-    places = np.asarray(places_m)
+def extent(places_m: ArrayLike, units: Units) -> str:
+    """Box around places, (n, 2) [m], in words and in the survey's units."""
+    name, unit_m = units.of_places
+    places = np.asarray(places_m) / unit_m
     west, south, east, north = map(grouped, (*places.min(axis=0), *places.max(axis=0)))
-    return f"{west} to {east} m E, {south} to {north} m N"
+    return f"{west} to {east} {name} E, {south} to {north} {name} N"
 
 
 def boxes_of(files: Iterable[LasFacts]) -> NDArray[Any]:
@@ -43,12 +45,15 @@ def boxes_of(files: Iterable[LasFacts]) -> NDArray[Any]:
     return boxes
 
 
-def beside(shapes: NDArray[Any], survey: NDArray[Any]) -> dict[str, str]:
-    """Extents of shapes and of a survey's boxes, where none of the shapes meets one; else empty."""
+def beside(shapes: NDArray[Any], survey: NDArray[Any], units: Units) -> dict[str, str]:
+    """Extents of shapes and of a survey's boxes, where none of the shapes meets one; else empty.
+
+    ``units``: of the survey, in which they are.
+    """
     if not len(survey) or shapely.STRtree(survey).query(shapes, "intersects").size:
         return {}
     both = {"shapes": shapes, "points": survey}
-    return {name: extent(shapely.get_coordinates(some)) for name, some in both.items()}
+    return {name: extent(shapely.get_coordinates(some), units) for name, some in both.items()}
 
 
 ASTRAY: Final = (

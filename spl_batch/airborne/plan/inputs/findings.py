@@ -17,6 +17,7 @@ from spl_batch.engine.tasks.task import Receipt
 from spl_batch.errors import WorkflowError, counted, grouped, named, told_together
 from spl_batch.formats.gps_clock import CLOCKS
 from spl_batch.formats.las.reader import Numbers
+from spl_batch.formats.units import Units, both
 
 PRF_APART: Final = 0.05
 """A stated pulse rate may differ by this part from the one that gps_time tells."""
@@ -191,10 +192,13 @@ def heights_in_other_unit(survey: Survey) -> Iterator[Finding]:
     stated_m, met_m = np.median([both for line in lines for both in wrong[line]], axis=0).tolist()
     (trajectory,) = survey.of("trajectory").values()
     unit, code = ("feet", "EPSG:...+6360") if stated_m > met_m else ("metres", "EPSG:...+5703")
+    height = Units.of(survey.inputs.crs).of_heights
     values = {
         "kind": "unit",
         "stated_m": stated_m,
         "met_m": met_m,
+        "stated": both(stated_m, height, 0),
+        "met": both(met_m, height, 0),
         "lines": lines,
         "unit": unit,
         "crs": code,

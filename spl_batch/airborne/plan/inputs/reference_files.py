@@ -3,10 +3,11 @@
 A bad file of points compares nothing, and fails alone; checkpoints are read before the work starts.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 from pyproj import CRS
 
 from spl_batch.airborne.plan.inputs.file_positions import extent, inspected, usable
@@ -23,6 +24,7 @@ from spl_batch.errors import (
 )
 from spl_batch.formats.checkpoints import Checkpoint
 from spl_batch.formats.crs import (
+    NAVD88,
     completed,
     heights_fault,
     like_degrees,
@@ -34,7 +36,7 @@ from spl_batch.formats.crs import (
 )
 from spl_batch.formats.files.atomic import real_path
 from spl_batch.formats.las.reader import LasFacts
-from spl_batch.formats.units import Units
+from spl_batch.formats.units import Units, both
 
 
 class ReferenceFiles(NamedTuple):
@@ -120,24 +122,37 @@ def looked_into(
             known, told = read_named(file.path, crs, settings)
     except InputError as fault:
         raise WorkflowError(f"reference.checkpoints: {fault}") from None
-    boxes = [(facts.mins_m, facts.maxs_m) for facts in files if facts.n_points]
-    within = [any(_inside(point, *box) for box in boxes) for point in known]
-    if known and not any(within):
-        told.append(_elsewhere(known, boxes))
+    told += _misplaced(known, [(f.mins_m, f.maxs_m) for f in files if f.n_points], Units.of(crs))
     return [Finding("C01", {"kind": "file", "what": text}, file.name) for text in told]
 
 
-def _inside(point: Checkpoint, low_m: Sequence[float], high_m: Sequence[float]) -> bool:
-    return low_m[0] <= point.x_m <= high_m[0] and low_m[1] <= point.y_m <= high_m[1]
-
-
-def _elsewhere(
-    points: Sequence[Checkpoint], boxes: Sequence[tuple[Sequence[float], Sequence[float]]]
-) -> str:
-    """Where all checkpoints lie and where the survey does: a wrong CRS shows at once."""
-    mine = extent([(point.x_m, point.y_m) for point in points])
-    survey = extent([corner[:2] for box in boxes for corner in box])
-    return (
-        f"none of {len(points)} checkpoints lies within the survey: they lie within {mine}, "
-        f"its points within {survey}; name their CRS in reference.checkpoints_crs if it is another"
-    )
+def _misplaced(
+    points: Sequence[Checkpoint],
+    boxes: Sequence[tuple[Sequence[float], Sequence[float]]],
+    units: Units,
+) -> Iterator[str]:
+    """Where all checkpoints lie and where the survey does: a wrong CRS, or unit, shows at once."""
+    places = np.array([(point.x_m, point.y_m, point.z_m) for point in points]).reshape(-1, 1, 3)
+    low, high = (np.array([box[end] for box in boxes]).reshape(-1, 3) for end in (0, 1))
+    beyond = (places < low) | (places > high)
+    within = ~beyond[..., :2].any(axis=2)
+    if len(points) and not within.any():
+        mine, survey = (
+            extent(ends, units) for ends in (places[:, 0, :2], np.concatenate([low, high])[:, :2])
+        )
+        yield (
+            f"none of {len(points)} checkpoints lies within the survey: they lie within {mine}, "
+            f"its points within {survey}; name their CRS in reference.checkpoints_crs if it is "
+            "another"
+        )
+    elif len(points) and not (within & ~beyond[..., 2]).any():
+        z, ends = places[within.any(axis=1), 0, 2], (low[:, 2].min(), high[:, 2].max())
+        mine, survey = (
+            " to ".join(both(end, units.of_heights) for end in (np.min(some), np.max(some)))
+            for some in (z, ends)
+        )
+        yield (
+            f"none of {len(z)} checkpoints has a height that points have there: {mine}, those of "
+            f"points {survey}; if they are in another unit or above another datum, name it, "
+            f"reference.checkpoints_crs: EPSG:...+5703 ({NAVD88})"
+        )

@@ -213,7 +213,7 @@ def _check_shapes(
                     if key == "breaklines"
                     else check_polygons(base / name, crs)
                 )
-            apart = beside(shapes, survey)
+            apart = beside(shapes, survey, Units.of(crs))
             if apart and key == "aoi":
                 faults.append(f"{key}: {base / name}: {ASTRAY.format(**apart)}")
             elif apart:
