@@ -109,10 +109,11 @@ class Imaging(Receiver[Survey, Context]):
             ("ground cells", grouped(cost.cells)),
             ("margin", halo),
         ]
-        if not prepared.ledger.inputs.trajectory:
+        if settings.filtering and not prepared.ledger.inputs.trajectory:
             beams = "from where lines of sight meet, by scan_angle, or vertical"
             rows.append(("trajectory", f"none: beams are taken {beams}"))
-        if settings.survey.channel_dimension is None and settings.sensor.beamlets > 1:
+        numbered = settings.survey.channel_dimension is not None or settings.sensor.beamlets == 1
+        if settings.filtering and not numbered:
             rows.append(("beamlets", "survey.channel_dimension is not set: a shot is one beamlet"))
         if settings.survey.align == "vertical":
             rows.append(("alignment", "survey.align: vertical: heights of flightlines are shifted"))
