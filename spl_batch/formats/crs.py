@@ -235,6 +235,7 @@ def differences(a: CRS, b: CRS) -> str:
     """In which parameters two projections differ, with the values of both, the first three."""
     one, other = _parameters(a), _parameters(b)
     apart = [key for key in one if key in other and one[key][0] != other[key][0]]
+    apart = [key for key in apart if key != "datum"] or apart  # of which names are many
     return named([f"{key} {one[key][1]} against {other[key][1]}" for key in apart], 3)
 
 
