@@ -18,17 +18,8 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError, ProjError
 
 from spl_batch.errors import InputError, as_input_fault, counted, named
-from spl_batch.formats.crs import (
-    best_transformer,
-    completed,
-    crs_name,
-    heights_ratio,
-    horizontal,
-    no_survey_crs,
-    other_heights,
-    same_crs,
-    unknown_unit,
-)
+from spl_batch.formats.crs import best_transformer, crs_name, horizontal, no_survey_crs, same_crs
+from spl_batch.formats.heights import completed, heights_ratio, other_heights, unknown_unit
 from spl_batch.formats.units import Units, in_words
 from spl_batch.formats.vector_files import all_layers
 
@@ -244,7 +235,7 @@ def _in_crs(
     for stated in dict.fromkeys(names):
         members = [k for k, name in enumerate(names) if name == stated]
         try:
-            source = completed(CRS.from_user_input(stated) if stated else None, own)
+            source = completed(CRS.from_user_input(stated), own) if stated else own
         except CRSError:
             why = f"the CRS {stated!r} is not known"
             remarks.append(_left_out([placed.pop(k)["id"] for k in members], why))

@@ -13,7 +13,7 @@ from pyproj.exceptions import CRSError, ProjError
 from pyproj.transformer import TransformerGroup
 
 from spl_batch.errors import WorkflowError, named
-from spl_batch.formats.units import Units, in_words, metres_in
+from spl_batch.formats.units import Units, metres_in
 
 WKT_KEY: Final = ("LASF_Projection", 2112)
 WKT_KEYS: Final = (WKT_KEY, ("liblas", 2112))
@@ -21,9 +21,6 @@ WKT_KEYS: Final = (WKT_KEY, ("liblas", 2112))
 
 NAMELESS: Final = ("", "unknown", "unnamed")
 """Names that GDAL gives to a vertical CRS of which keys have the unit only."""
-
-NAVD88: Final = "EPSG:6360 states US survey feet, EPSG:8228 feet, EPSG:5703 metres"
-"""Codes of heights above one datum, by which deliveries in feet name the unit."""
 
 DEGREES_ACROSS: Final = 5.0
 """Extent from which on coordinates that could be degrees are taken as metres."""
@@ -148,67 +145,6 @@ def same_heights(a: CRS, b: CRS) -> bool:
     return alike or bool({a.name, b.name} & {*NAMELESS})
 
 
-def other_heights(found: CRS, survey: CRS) -> str:
-    """What heights of a CRS are, where they are not the survey's; empty where they may be."""
-    one, other = vertical(found), vertical(survey)
-    if one is None or other is None or same_heights(one, other):
-        return ""
-    return f"heights are {crs_name(one)}, the survey's {crs_name(other)}"
-
-
-def _states_heights(crs: CRS) -> bool:
-    return vertical(crs) is not None or len(crs.axis_info) > 2
-
-
-def completed(found: CRS | None, stated: CRS | None) -> CRS | None:
-    """CRS of a file: its own, and what a user states where that is silent, of heights as well."""
-    if found is None or stated is None or _states_heights(found):
-        return found or stated
-    return stated if vertical(stated) is not None and same_crs(found, stated) else found
-
-
-def heights_ratio(found: CRS, survey: CRS) -> float | None:
-    """Units of the survey's heights in one of those of a CRS.
-
-    Heights without a unit of their own are the survey's where eastings are in that unit, and
-    beside degrees where it is the metre; elsewhere nothing tells, and it is None.
-    """
-    mine, ours = Units.of(found).vertical_m, Units.of(survey).vertical_m
-    return mine / ours if _states_heights(found) or mine == ours else None
-
-
-def unknown_unit(found: CRS, survey: CRS, remedy: str) -> str:
-    """Fault of a file of which :func:`heights_ratio` is not known.
-
-    ``remedy``: what states the unit; a CRS that does follows: ``name it in reference.crs:``.
-    """
-    unit = "degrees" if found.is_geographic else in_words(Units.of(found).horizontal)
-    return (
-        f"its CRS {crs_name(found)} is in {unit} and states no unit of heights, the survey's "
-        f"heights are in {in_words(Units.of(survey).vertical)}: {remedy} "
-        f"EPSG:{horizontal(found).to_epsg() or '...'}+6360 for US survey feet, +8228 for feet, "
-        "+5703 for metres"
-    )
-
-
-def heights_fault(found: CRS, survey: CRS, remedy: str) -> str:
-    """Why heights of a file cannot be taken as the survey's, its remedy; empty where they can.
-
-    ``remedy``: as of :func:`unknown_unit`.
-    """
-    ratio = heights_ratio(found, survey)
-    if ratio is None:
-        return unknown_unit(found, survey, remedy)
-    if ratio != 1.0:
-        unit, ours = (in_words(Units.of(crs).vertical) for crs in (found, survey))
-        return (
-            f"its heights are in {unit} by {crs_name(found)}, the survey's in {ours}: transform it,"
-            " its heights as well"
-        )
-    others = other_heights(found, survey)
-    return f"its {others}: transform it" if others else ""
-
-
 def no_survey_crs(found: CRS) -> str:
     """Fault of a file with a CRS beside a survey without one."""
     return f"is in {crs_name(found)}, the survey has no CRS: name it in survey.crs"
@@ -247,6 +183,8 @@ def _parameters(crs: CRS) -> dict[str, tuple[str, str]]:
     if operation is not None and flat.is_projected:
         found["method"] = (operation.method_code or operation.method_name, operation.method_name)
         for one in operation.params:
+            if isinstance(one.value, str):
+                continue  # the name of a grid
             value = f"{one.value * one.unit_conversion_factor:.9g}"
             found[one.name] = (value, f"{one.value:.10g} {one.unit_name}")
     if flat.datum is not None:

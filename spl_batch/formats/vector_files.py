@@ -20,13 +20,8 @@ from pyproj.exceptions import CRSError, ProjError
 
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import InputError, as_input_fault, named
-from spl_batch.formats.crs import (
-    best_transformer,
-    heights_fault,
-    horizontal,
-    no_survey_crs,
-    same_crs,
-)
+from spl_batch.formats.crs import best_transformer, horizontal, no_survey_crs, same_crs
+from spl_batch.formats.heights import heights_fault
 from spl_batch.formats.las.header import open_input
 from spl_batch.formats.units import Units
 

@@ -11,12 +11,8 @@ from pyproj import CRS
 
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.crs import (
-    completed,
     crs_problems,
-    heights_fault,
-    heights_ratio,
     other_crs,
-    other_heights,
     same_crs,
     same_heights,
     stretch_problem,
@@ -24,6 +20,7 @@ from spl_batch.formats.crs import (
     with_vertical,
 )
 from spl_batch.formats.geotiff_keys import GEO_KEYS, crs_from_geotiff
+from spl_batch.formats.heights import completed, heights_fault, heights_ratio, other_heights
 from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.formats.units import US_FOOT, Units
 
@@ -250,15 +247,14 @@ def test_heights_are_in_a_unit_that_is_stated_or_the_surveys(
 @pytest.mark.parametrize(
     ("found", "stated", "wanted"),
     [
-        (None, "EPSG:2278", "EPSG:2278"),
         ("EPSG:2278", None, "EPSG:2278"),
         ("EPSG:2278", "EPSG:2278+5703", "EPSG:2278+5703"),
         ("EPSG:2278+6360", "EPSG:2278+5703", "EPSG:2278+6360"),
         ("EPSG:2278", "EPSG:32140+5703", "EPSG:2278"),
     ],
 )
-def test_a_user_states_what_a_file_leaves_open(found, stated, wanted: str) -> None:
-    known = completed(*(None if text is None else CRS(text) for text in (found, stated)))
+def test_a_user_states_what_a_file_leaves_open(found: str, stated, wanted: str) -> None:
+    known = completed(CRS(found), None if stated is None else CRS(stated))
     assert known == CRS(wanted)
 
 

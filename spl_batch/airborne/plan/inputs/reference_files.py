@@ -24,9 +24,6 @@ from spl_batch.errors import (
 )
 from spl_batch.formats.checkpoints import Checkpoint
 from spl_batch.formats.crs import (
-    NAVD88,
-    completed,
-    heights_fault,
     like_degrees,
     look_like_degrees,
     no_survey_crs,
@@ -35,6 +32,7 @@ from spl_batch.formats.crs import (
     same_crs,
 )
 from spl_batch.formats.files.atomic import real_path
+from spl_batch.formats.heights import NAVD88, completed, heights_fault
 from spl_batch.formats.las.reader import LasFacts
 from spl_batch.formats.units import Units, both
 
@@ -61,7 +59,12 @@ def checked_reference(
     stated = settings.crs if settings else None
     given = None if stated is None else parse_crs(stated, "reference.crs")
     known, damaged = inspected(paths)
-    good, elsewhere = usable(known, lambda f: _crs_fault(f, completed(f.crs, given), crs, others))
+
+    def fault(facts: LasFacts) -> str:
+        found = given if facts.crs is None else completed(facts.crs, given)
+        return _crs_fault(facts, found, crs, others)
+
+    good, elsewhere = usable(known, fault)
     if elsewhere and not good:
         told = (f"reference.points: {text}" for text in told_together([*damaged, *elsewhere]))
         raise WorkflowError("; ".join(told))
@@ -132,21 +135,21 @@ def _misplaced(
     units: Units,
 ) -> Iterator[str]:
     """Where all checkpoints lie and where the survey does: a wrong CRS, or unit, shows at once."""
-    places = np.array([(point.x_m, point.y_m, point.z_m) for point in points]).reshape(-1, 1, 3)
+    places = np.array([(point.x_m, point.y_m, point.z_m) for point in points]).reshape(-1, 3)
     low, high = (np.array([box[end] for box in boxes]).reshape(-1, 3) for end in (0, 1))
-    beyond = (places < low) | (places > high)
-    within = ~beyond[..., :2].any(axis=2)
+    inside = (places[:, None] >= low) & (places[:, None] <= high)
+    within = inside[..., 0] & inside[..., 1]
     if len(points) and not within.any():
         mine, survey = (
-            extent(ends, units) for ends in (places[:, 0, :2], np.concatenate([low, high])[:, :2])
+            extent(ends, units) for ends in (places[:, :2], np.concatenate([low, high])[:, :2])
         )
         yield (
             f"none of {len(points)} checkpoints lies within the survey: they lie within {mine}, "
             f"its points within {survey}; name their CRS in reference.checkpoints_crs if it is "
             "another"
         )
-    elif len(points) and not (within & ~beyond[..., 2]).any():
-        z, ends = places[within.any(axis=1), 0, 2], (low[:, 2].min(), high[:, 2].max())
+    elif len(points) and not (within & inside[..., 2]).any():
+        z, ends = places[np.any(within, axis=1), 2], (low[:, 2].min(), high[:, 2].max())
         mine, survey = (
             " to ".join(both(end, units.of_heights) for end in (np.min(some), np.max(some)))
             for some in (z, ends)

@@ -15,12 +15,9 @@ from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.findings import Finding
 from spl_batch.errors import InputError, WorkflowError
 from spl_batch.formats.crs import (
-    NAVD88,
-    completed,
     compound,
     crs_name,
     crs_problems,
-    heights_fault,
     horizontal,
     other_crs,
     parse_crs,
@@ -30,6 +27,7 @@ from spl_batch.formats.crs import (
     vertical,
     with_vertical,
 )
+from spl_batch.formats.heights import NAVD88, completed, heights_fault
 from spl_batch.formats.las.header import WAVEFORM_FORMATS
 from spl_batch.formats.las.reader import LasFacts
 from spl_batch.formats.reprojection import Reprojection
