@@ -310,7 +310,7 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "at the terrain there",
                 "feet": "the heights of {count} checkpoints are {ratio:.3f} times those of the "
                 "terrain, as where one is in feet and the other in metres: name the CRS of their "
-                "heights, reference.checkpoints_crs: EPSG:...+5703",
+                "heights, reference.checkpoints_crs: EPSG:...+5703 ({codes})",
             },
             noun="file",
         ),

@@ -13,7 +13,7 @@ from pyproj.exceptions import CRSError, ProjError
 from pyproj.transformer import TransformerGroup
 
 from spl_batch.errors import WorkflowError, named
-from spl_batch.formats.units import Units, metres_in
+from spl_batch.formats.units import Units, in_words, metres_in
 
 WKT_KEY: Final = ("LASF_Projection", 2112)
 WKT_KEYS: Final = (WKT_KEY, ("liblas", 2112))
@@ -66,7 +66,7 @@ def projected_crs(text: str | None, key: str, faults: list[str]) -> CRS | None:
         return None
     units = Units.of(crs)
     unit = units.vertical if units.horizontal_m == 1.0 else units.horizontal
-    other = [f"CRS {crs_name(crs)} is in {unit}, not in metres: name one that is"]
+    other = [f"CRS {crs_name(crs)} is in {in_words(unit)}, not in metres: name one that is"]
     found = crs_problems(crs) or other * (not units.are_metres)
     faults += [f"{key}: {problem}" for problem in found]
     return crs

@@ -112,7 +112,7 @@ def test_a_geoid_below_a_survey_in_feet(tmp_path: Path) -> None:
     above = geoid.heights(there[0] * US_M, there[1] * US_M)
     np.testing.assert_allclose(above, Geoid(name, tmp_path / name, utm).heights(x, y), atol=1e-6)
     assert Units.of(geoid.crs_above("EPSG:6360")).vertical == US_FOOT
-    with pytest.raises(WorkflowError, match="is not in US survey foot"):
+    with pytest.raises(WorkflowError, match="is not in US survey feet"):
         geoid.crs_above("EPSG:5703")
     heights = 'VERT_CS["Ellipsoid (metre)",VERT_DATUM["Ellipsoid",2002],UNIT["metre",1]]'
     mixed = Geoid(name, tmp_path / name, compound(feet, CRS.from_wkt(heights)))

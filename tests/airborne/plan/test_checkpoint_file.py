@@ -64,7 +64,9 @@ def test_metres_beside_a_survey_in_feet_are_named(
     (tmp_path / "c.csv").write_text(text)
     workflow = surveys.write_workflow(tmp_path, reference={"checkpoints": "c.csv"})
     ended = surveys.command("plan", workflow)
-    assert said in " ".join(ended.text.split())
+    text = " ".join(ended.text.split())
+    assert said in text
+    assert ("c.csv: heights in US survey feet, as the survey's" in text) == (ended.status == 0)
     assert ended.status == (2 if crs == "EPSG:32140" else 0)
     assert ("C01" in ended.text) == bool(said and ended.status == 0)
 
