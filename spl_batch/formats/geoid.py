@@ -98,6 +98,6 @@ class Geoid:
         found = with_vertical(self._flat, vertical_crs, key)
         if Units.of(found).vertical != unit:
             raise WorkflowError(
-                f"{key}: {vertical_crs} is not in {in_words(unit)}, as heights are; name one that is"
+                f"{key}: {vertical_crs} is not in {in_words(unit)}, as heights are: name one"
             )
         return found

@@ -117,7 +117,7 @@ def test_a_geoid_below_a_survey_in_feet(tmp_path: Path) -> None:
     heights = 'VERT_CS["Ellipsoid (metre)",VERT_DATUM["Ellipsoid",2002],UNIT["metre",1]]'
     mixed = Geoid(name, tmp_path / name, compound(feet, CRS.from_wkt(heights)))
     assert Units.of(mixed.crs_above("EPSG:5703")).vertical_m == 1.0
-    with pytest.raises(WorkflowError, match="heights are in metre, eastings in US survey foot"):
+    with pytest.raises(WorkflowError, match="heights are in metres, eastings in US survey feet"):
         mixed.crs_above(None)
 
 
