@@ -16,7 +16,7 @@ from spl_batch.errors import WorkflowError, named
 from spl_batch.formats.units import Units, in_words, metres_in
 
 WKT_KEY: Final = ("LASF_Projection", 2112)
-WKT_KEYS: Final = (WKT_KEY, ("liblas", 2112))
+LIBLAS_KEY: Final = ("liblas", 2112)
 """Records of WKT: that of LAS, and that which libLAS and early PDAL wrote beside GeoTIFF keys."""
 
 NAMELESS: Final = ("", "unknown", "unnamed")

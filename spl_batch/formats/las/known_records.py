@@ -15,9 +15,9 @@ from pyproj.exceptions import CRSError, ProjError
 
 from spl_batch.errors import brief, is_fault, one_line, plain
 from spl_batch.formats.crs import (
+    LIBLAS_KEY,
     NAMELESS,
     WKT_KEY,
-    WKT_KEYS,
     compound,
     crs_from_wkt,
     crs_name,
@@ -72,8 +72,7 @@ def header_crs(header: LasHeader) -> tuple[CRS | None, tuple[str, ...]]:
         )
         return rivals[bit], (text,)
     try:
-        crs = _wkt_crs(header)
-        return crs if crs is not None else _keys_crs(header), ()
+        return _wkt_crs(header) or _keys_crs(header) or _liblas_crs(header), ()
     except CRSError as error:
         reason = brief(plain(" ".join(str(error).split())), _CRS_TEXT_MAX)
         return None, (f"the CRS record is not understood ({reason}): name the CRS in survey.crs",)
@@ -83,7 +82,7 @@ def outvoted_records(header: LasHeader) -> Iterable[tuple[str, int]]:
     """Records of the CRS that does not count, where two contradict each other."""
     if _rivals(header) is None:
         return ()
-    return WKT_KEYS if _keys_count(header) else GEO_KEYS
+    return (WKT_KEY, LIBLAS_KEY) if _keys_count(header) else GEO_KEYS
 
 
 def _keys_count(header: LasHeader) -> bool:
@@ -96,7 +95,7 @@ def _rivals(header: LasHeader) -> tuple[CRS, CRS] | None:
     if header.vlr(*GEO_KEYS[0]) is None or not header.n_points:
         return None
     try:
-        wkt = _wkt_crs(header)
+        wkt = _wkt_crs(header) or _liblas_crs(header)
         keys = None if wkt is None else _keys_crs(header)
         if wkt is None or keys is None or _agree(wkt, keys, header):
             return None
@@ -136,16 +135,21 @@ def _keys_crs(header: LasHeader) -> CRS | None:
 
 
 def _wkt_crs(header: LasHeader) -> CRS | None:
-    evlr = next((e for e in header.evlrs if e.key == WKT_KEY), None)
-    keys = WKT_KEYS if evlr is None else (WKT_KEY,)
-    vlr = next(filter(None, (header.vlr(*key) for key in keys)), None)
+    vlr = header.vlr(*WKT_KEY)
     if vlr is not None:
         return crs_from_wkt(vlr.data)
+    evlr = next((e for e in header.evlrs if e.key == WKT_KEY), None)
     if evlr is None:
         return None
     with open_input(header.path) as file:
         file.seek(evlr.start)
         return crs_from_wkt(file.read(min(evlr.size, _WKT_BYTES_MAX)))
+
+
+def _liblas_crs(header: LasHeader) -> CRS | None:
+    """CRS of libLAS's record, which counts where there is no other: it has no vertical part."""
+    vlr = header.vlr(*LIBLAS_KEY)
+    return None if vlr is None else crs_from_wkt(vlr.data)
 
 
 def broken_records(header: LasHeader) -> Iterator[str]:
@@ -201,7 +205,7 @@ def kept_records(header: LasHeader, crs: CRS | None) -> tuple[list[Vlr], list[Ev
     own = header_crs(header)[0]
     written = _delivered_crs(own, crs)
     if written is not own:
-        dropped.update(WKT_KEYS)
+        dropped.update((WKT_KEY, LIBLAS_KEY))
 
     def is_kept(record: Vlr | Evlr) -> bool:
         gone = record.key in dropped or record.key[0] == "copc"

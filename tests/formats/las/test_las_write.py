@@ -256,6 +256,18 @@ def test_heights_of_keys_and_wkt_are_above_the_same(
     assert (header_crs(read_header(src))[1] == ()) == agree
 
 
+def test_the_record_of_liblas_takes_no_heights_from_keys(tmp_path: Path) -> None:
+    keys = [1, 1, 0, 3, 1024, 0, 1, 1, 3072, 0, 1, 32615, 4096, 0, 1, 5703]
+    wkt = CRS("EPSG:32615").to_wkt("WKT1_GDAL").encode() + b"\0"
+    records = [laspy.VLR("liblas", 2112, "", wkt)]
+    for wanted in (2, 0):
+        src = write_las(tmp_path / "a.las", version="1.2", point_format=1, vlrs=records)
+        crs, warnings = header_crs(read_header(src))
+        assert crs is not None
+        assert (len(crs.sub_crs_list), warnings) == (2 - wanted, ())
+        records.append(laspy.VLR("LASF_Projection", 34735, "", np.array(keys, "<u2").tobytes()))
+
+
 @pytest.mark.parametrize("code", [5019, 5030])
 def test_heights_above_an_ellipsoid_are_written_as_wkt2(tmp_path: Path, code: int) -> None:
     keys = [1, 1, 0, 3, 1024, 0, 1, 1, 3072, 0, 1, 32615, 4096, 0, 1, code]
