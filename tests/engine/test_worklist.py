@@ -27,7 +27,7 @@ from spl_batch.engine.report.run_record import RunFacts, StageCost, performance
 from spl_batch.engine.store.working_store import Store, write_receipt
 from spl_batch.engine.tasks import runner
 from spl_batch.engine.tasks.ledger import Shelf
-from spl_batch.engine.tasks.task import Receipt, Task
+from spl_batch.engine.tasks.task import Job, Outcome, Receipt, Task
 from spl_batch.engine.tasks.worklist import Worklist
 from spl_batch.lattice.density import from_counts
 from spl_batch.lattice.tiles import CellId
@@ -101,6 +101,14 @@ def test_what_a_task_needs_decides_whether_it_waits_or_is_left_out(tmp_path: Pat
     job = work.job(task)
     assert job is not None
     assert job.key == runner.task_key(task, context(tmp_path), ("d0_0", "d1_0"))
+
+
+def test_a_job_goes_back_only_where_what_it_waits_for_is_done_again(tmp_path: Path) -> None:
+    needs = (("denoise", "0_0"), ("denoise", "1_0"))
+    job = Job(Task("ground", "a", {}, needs), "", needs[:1])
+    for need, again in ((needs[0], True), (needs[0], False), (needs[1], True)):
+        outcome = runner.do(job, context(tmp_path), [Outcome(need, None, again=again)])
+        assert outcome.again == (again and need in job.open)
 
 
 def test_a_cell_goes_without_labels_of_what_failed(tmp_path: Path) -> None:
@@ -230,5 +238,5 @@ def test_a_plan_counts_what_many_small_files_take_beside_their_points() -> None:
         sources = tuple(SimpleNamespace(facts=facts, key=k) for k in range(files))
         inputs = Inputs(sources, (), (), ReferenceFiles((), ()), None, ())  # type: ignore[arg-type]
         times.append(estimate(Survey(inputs, WORKFLOW, 2**32, 2)).time_s)
-    assert times[0] < 2
+    assert times[0] < 10
     assert 30 < times[1] < 300
