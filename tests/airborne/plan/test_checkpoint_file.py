@@ -74,6 +74,5 @@ def test_places_are_in_the_units_of_the_survey(tmp_path: Path) -> None:
     (tmp_path / "c.csv").write_text(f"{HEAD}A,1000,2000,66,open,0.01,\n")
     workflow = surveys.write_workflow(tmp_path, reference={"checkpoints": "c.csv"})
     said = " ".join(surveys.command("plan", workflow).text.split())
-    assert (
-        "they lie within 1 000 to 1 000 ft E, 2 000 to 2 000 ft N, its points within 892 " in said
-    )
+    assert "they lie within 1 000 to 1 000 ft E, 2 000 to 2 000 ft N (305 to 305 m E" in said
+    assert "its points within 892 " in said
