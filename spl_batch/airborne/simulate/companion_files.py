@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.simulate.air import VOXEL_M, NoiseGrid
 from spl_batch.airborne.simulate.file_writers import (
-    CloudWriter,
+    add_points,
+    cloud_writer,
     folder_of,
     las_header,
     sbet_records,
@@ -132,11 +133,11 @@ def _reference(scene: Scene, arrays: SceneArrays, path: Path) -> None:
     above = float(arrays.ground.z.max()) + 500.0
     linear_returns(rng, arrays, xy, above, LINEAR_SPOT_M, empty_layers(arrays), z, kind)
     header = las_header(scene.crs, scene.origin_m, scene.acquisition.start_s)
-    with replacing(path) as part, CloudWriter(part, header) as cloud:
+    with replacing(path) as part, cloud_writer(part, header) as cloud:
         for first in range(0, n, PULSES_AT_ONCE):
             some = slice(first, min(first + PULSES_AT_ONCE, n))
             noisy = z[some] + scene.reference.noise_m * rng.standard_normal(z[some].shape)
-            cloud.write(_reference_points(scene, first, xy[some], noisy, kind[some]))
+            add_points(cloud, _reference_points(scene, first, xy[some], noisy, kind[some]))
 
 
 def _reference_points(
