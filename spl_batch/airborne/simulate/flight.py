@@ -12,13 +12,14 @@ lever arm of Eq. 2.8 are zero: delivered data is calibrated.
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays
 from spl_batch.airborne.simulate.scene.scene_file import Flight, Scene
+from spl_batch.errors import WorkflowError
 from spl_batch.numerics.attitude import rotations
 
 CHUNK_S = 0.25
@@ -62,6 +63,17 @@ def central_vectors(angle: NDArray[np.float64], half_cone_rad: float) -> NDArray
 
 
 @dataclass(frozen=True, slots=True)
+class Chunk:
+    """Shots of one pass that meet the scene, within one piece of time."""
+
+    index: int  #: Which piece; with the pass it keys the random numbers.
+    shot: NDArray[np.int64]  #: (n,): shot numbers since the pass's start second.
+    #: (n,): slant range to the ground along the array's centre [m].
+    ground_range_m: NDArray[np.float64]
+    inside: NDArray[np.bool_]  #: (n,): whether the centre hits the extent itself.
+
+
+@dataclass(frozen=True, slots=True)
 class Pass:
     """One flightline as functions of time."""
 
@@ -71,6 +83,7 @@ class Pass:
     middle_s: float  #: When the aircraft is abeam the scene's centre, adjusted standard time [s].
     half_s: float  #: Half the time during which a shot can meet the scene [s].
     phases: NDArray[np.float64]  #: (6,): of the swings of attitude, height and sky [rad].
+    chunks: tuple[Chunk, ...] = ()  #: Shots that meet the scene, in pieces of :data:`CHUNK_S`.
 
     def position(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Sensor position relative to the scene's origin, height absolute: (n, 3) [m]."""
@@ -120,19 +133,11 @@ class Pass:
         return time
 
 
-@dataclass(frozen=True, slots=True)
-class Chunk:
-    """Shots of one pass that meet the scene, within one piece of time."""
+def make_passes(scene: Scene, arrays: SceneArrays) -> list[Pass]:
+    """Flightlines of a scene, one after the other.
 
-    index: int  #: Which piece; with the pass it keys the random numbers.
-    shot: NDArray[np.int64]  #: (n,): shot numbers since the pass's start second.
-    #: (n,): slant range to the ground along the array's centre [m].
-    ground_range_m: NDArray[np.float64]
-    inside: NDArray[np.bool_]  #: (n,): whether the centre hits the extent itself.
-
-
-def make_passes(scene: Scene) -> list[Pass]:
-    """Flightlines of a scene, one after the other."""
+    Raises WorkflowError if one has no shot that meets the scene.
+    """
     sensor, passes = scene.instrument, []
     diagonal = math.hypot(*scene.extent_m) / 2 + scene.acquisition.margin_m
     for k, flight in enumerate(scene.flights):
@@ -142,7 +147,14 @@ def make_passes(scene: Scene) -> list[Pass]:
         half = (diagonal + 1.1 * circle + 20.0) / flight.speed_m_s
         middle = scene.acquisition.start_s + k * scene.acquisition.turn_s + half + 2.0
         phases = scene.chance(1, k).uniform(0, 2 * np.pi, 6)
-        passes.append(Pass(k + 1, flight, scene, middle, half, phases))
+        run = Pass(k + 1, flight, scene, middle, half, phases)
+        found = tuple(_chunks(run, arrays))
+        if not found:
+            raise WorkflowError(
+                f"flights.{k}: no shot meets the scene; offset_m {flight.offset_m:g} is outside "
+                "the swath, choose a smaller one"
+            )
+        passes.append(replace(run, chunks=found))
     return passes
 
 
@@ -158,8 +170,8 @@ def array_reach_m(scene: Scene, flight: Flight) -> float:
     )
 
 
-def chunks(run: Pass, arrays: SceneArrays) -> Iterator[Chunk]:
-    """Shots whose footprint meets the scene, in pieces of :data:`CHUNK_S`."""
+def _chunks(run: Pass, arrays: SceneArrays) -> Iterator[Chunk]:
+    """Shots whose footprint meets the scene."""
     prf = run.scene.acquisition.prf_hz
     reach = array_reach_m(run.scene, run.flight) + run.scene.acquisition.margin_m
     total = math.ceil((2 * run.half_s + 2) / CHUNK_S)
@@ -233,10 +245,10 @@ def ground_points(
     return origin + range_m[:, None] * beam, range_m
 
 
-def gate_centres(pieces: list[Chunk]) -> dict[int, float]:
+def gate_centres(run: Pass) -> dict[int, float]:
     """Mean ground range of every second since the pass's start, which the gate is set to [m]."""
     sums: dict[int, tuple[float, int]] = {}
-    for piece in pieces:
+    for piece in run.chunks:
         second = int(piece.index * CHUNK_S / GATE_S)
         total, count = sums.get(second, (0.0, 0))
         sums[second] = (total + float(piece.ground_range_m.sum()), count + len(piece.shot))

@@ -22,7 +22,8 @@ from spl_batch.airborne.simulate.scene.objects import (
     catenary,
     tower_solid,
 )
-from spl_batch.airborne.simulate.scene.scene_file import Building, Wires
+from spl_batch.airborne.simulate.scene.scene_file import Building, Wires, parse_scene
+from spl_batch.errors import WorkflowError
 from spl_batch.numerics import attitude
 
 
@@ -326,6 +327,12 @@ def test_clear_water_is_a_surface_a_column_and_a_bottom():
     assert beam_layers.look(scene, o, d, d, 1e-4, layers)[0] == 0, "opaque water is its surface"
 
 
+def test_a_flightline_beside_the_scene_is_refused():
+    scene = parse_scene({"extent_m": [9, 9], "flights": [{"heading_deg": 0, "offset_m": 3e3}]}, "")
+    with pytest.raises(WorkflowError, match=r"flights\.0: no shot meets .* choose a smaller one"):
+        flight.make_passes(scene, lay_out(scene).arrays)
+
+
 def test_no_shot_near_the_scene_is_passed_over():
     tiny = preset_scene("tiny")
     scene = tiny.model_copy(
@@ -335,15 +342,14 @@ def test_no_shot_near_the_scene_is_passed_over():
         }
     )
     arrays, found = lay_out(scene).arrays, 0
-    for run in flight.make_passes(scene):
+    for run in flight.make_passes(scene, arrays):
         shots_of = np.arange(math.ceil(2 * run.half_s + 2) * scene.acquisition.prf_hz)
         ground, range_m = flight.ground_points(run, shots_of.astype(np.int64), arrays)
         outside = np.maximum(-ground[:, :2], ground[:, :2] - scene.extent_m).max(axis=1)
         reach = flight.array_reach_m(scene, run.flight) + scene.acquisition.margin_m
         expected = np.flatnonzero(outside <= reach)
-        pieces = list(flight.chunks(run, arrays))
-        np.testing.assert_array_equal(np.concatenate([p.shot for p in pieces]), expected)
-        ranges = np.concatenate([p.ground_range_m for p in pieces])
+        np.testing.assert_array_equal(np.concatenate([p.shot for p in run.chunks]), expected)
+        ranges = np.concatenate([p.ground_range_m for p in run.chunks])
         np.testing.assert_allclose(ranges, range_m[expected], rtol=1e-12)
         found += len(expected)
     assert found > 100
