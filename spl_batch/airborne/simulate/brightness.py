@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from spl_batch.airborne.beams.link_budget import photon_energy_j, signal_constant
+from spl_batch.airborne.beams.link_budget import link_constant, photon_energy_j
 from spl_batch.airborne.simulate.detector import Receiver
 from spl_batch.airborne.simulate.flight import Pass, pixel_offsets
 from spl_batch.airborne.simulate.scene.layout import Layout
@@ -53,7 +53,6 @@ def make_optics(scene: Scene) -> Optics:
         sensor.beamlet_pitch_urad * 1e-6,
         math.radians(sensor.array_rotation_deg),
     )
-    efficiency = sensor.hologram_efficiency * sensor.quantum_efficiency * sensor.receiver_efficiency
     return Optics(
         px,
         py,
@@ -62,12 +61,7 @@ def make_optics(scene: Scene) -> Optics:
         # the full divergence is to 1/e2 of the intensity: four standard deviations
         sensor.beam_divergence_urad * 1e-6 / 4,
         _or(scene.detector.range_sigma_m, sensor.range_sigma_m),
-        signal_constant(
-            efficiency,
-            sensor.pulse_energy_uj * 1e-6 / sensor.beamlets,
-            sensor.wavelength_nm,
-            sensor.aperture_m,
-        ),
+        link_constant(sensor),
         scene.sky.extinction_per_m,
     )
 

@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from spl_batch.airborne.beams.link_budget import link_constant
 from spl_batch.airborne.noise.line_model import LineModel
 from spl_batch.airborne.plan.space_tasks import index_of_boxes
 from spl_batch.airborne.products.reflectance.beamlet_matching import SILENT, Grid, trace
-from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart, aim, link_constant
+from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart, aim
 from spl_batch.airborne.products.reflectance.reflectance import (
     bounds,
     credible_heights,

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import optimize, stats
 
-from spl_batch.airborne.beams import link_budget
+from spl_batch.airborne.beams.link_budget import link_constant
+from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.airborne.simulate import (
     detector,
     flight,
@@ -181,7 +182,7 @@ def test_distance_of_a_ray_from_a_wire_is_the_smallest_one():
 
 
 def test_signal_follows_equation_2_1():
-    constant = link_budget.signal_constant(0.8 * 0.2 * 0.05, 0.83e-6, 532.0, 0.076)
+    constant = link_constant(load_preset("spl100"))
     h_nu = 6.62607015e-34 * 299792458 / 532e-9
     area = math.pi * 0.038**2
     expected = 0.8 * 0.2 * 0.05 * 0.83e-6 / h_nu * 0.25 * area / (math.pi * 2588**2)

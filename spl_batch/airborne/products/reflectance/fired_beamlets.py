@@ -19,7 +19,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.beams.link_budget import signal_constant
+from spl_batch.airborne.beams.link_budget import link_constant
 from spl_batch.airborne.beams.rays import meet_planes
 from spl_batch.airborne.noise.line_model import LineModel
 from spl_batch.airborne.products.reflectance.shot_pattern import (
@@ -170,16 +170,6 @@ def aim(
         blocks[good], np.concatenate([grid[None], learnt]), _sensitivity(model, channels),
         link_constant(sensor), clock.t0_s, clock.prf_hz, int(np.count_nonzero(~good)),
     )  # fmt: skip
-
-
-def link_constant(sensor: Sensor) -> float:
-    """Photo-electrons of a beamlet per reflectance, times square of range [m2; W17 Eq. 2.1]."""
-    return signal_constant(
-        sensor.hologram_efficiency * sensor.quantum_efficiency * sensor.receiver_efficiency,
-        sensor.pulse_energy_uj * 1e-6 / sensor.beamlets,
-        sensor.wavelength_nm,
-        sensor.aperture_m,
-    )
 
 
 def _blocks(
