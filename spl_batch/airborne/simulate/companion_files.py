@@ -20,8 +20,11 @@ from spl_batch.airborne.simulate.file_writers import (
     write_trajectory_csv,
 )
 from spl_batch.airborne.simulate.flight import Pass
-from spl_batch.airborne.simulate.scene.beam_layers import empty_layers
-from spl_batch.airborne.simulate.scene.from_above import linear_returns, surfaces_at
+from spl_batch.airborne.simulate.scene.beam_layers import (
+    empty_layers,
+    linear_returns,
+    surfaces_at,
+)
 from spl_batch.airborne.simulate.scene.layout import Layout
 from spl_batch.airborne.simulate.scene.ray_trace import (
     KIND_GROUND,
@@ -174,9 +177,7 @@ def _checkpoints(scene: Scene, arrays: SceneArrays, layout: Layout, path: Path) 
     size = np.array(scene.extent_m)
     xy = INSIDE_M + rng.random((CHECKPOINTS_TRIED, 2)) * np.maximum(size - 2 * INSIDE_M, 0.0)
     error_m = CHECKPOINT_ACCURACY_M * rng.standard_normal(CHECKPOINTS_TRIED)
-    above = np.empty((3, CHECKPOINTS_TRIED))
-    surfaces_at(arrays, xy[:, 0].copy(), xy[:, 1].copy(), above)
-    ground, surface = above[:2]
+    ground, surface, _ = surfaces_at(arrays, *np.ascontiguousarray(xy.T))
     free = ~_built(scene, layout, xy)
     kinds = {"open": surface - ground <= OPEN_M, "vegetated": surface - ground >= CROWN_M}
     lines = ["id,x,y,z,surface,accuracy_m"]
@@ -231,9 +232,8 @@ def _surfaces(
 ) -> NDArray[np.float64]:  # fmt: skip
     """Ground, surface and reflectance at one place of cells of 1 m: (3, rows, columns)."""
     x, y = np.meshgrid(corner[0] + columns + within[0], corner[1] - rows - within[1])
-    above = np.empty((3, *x.shape))
-    surfaces_at(arrays, x.ravel(), y.ravel(), above.reshape(3, -1))
-    return above
+    above: NDArray[np.float64] = surfaces_at(arrays, x.ravel(), y.ravel())
+    return above.reshape(3, *x.shape)
 
 
 def _workflow(scene: Scene) -> dict[str, Any]:

@@ -17,10 +17,10 @@ from spl_batch.airborne.simulate import (
 )
 from spl_batch.airborne.simulate.brightness import physical_noise
 from spl_batch.airborne.simulate.scene import beam_layers, ray_trace
-from spl_batch.airborne.simulate.scene.layout import lay_out
-from spl_batch.airborne.simulate.scene.objects import (
+from spl_batch.airborne.simulate.scene.layout import (
     building_solid,
     catenary,
+    lay_out,
     tower_solid,
 )
 from spl_batch.airborne.simulate.scene.scene_file import Building, Wires, parse_scene
