@@ -20,11 +20,7 @@ from spl_batch.airborne.simulate.file_writers import (
     write_trajectory_csv,
 )
 from spl_batch.airborne.simulate.flight import Pass
-from spl_batch.airborne.simulate.scene.beam_layers import (
-    empty_layers,
-    linear_returns,
-    surfaces_at,
-)
+from spl_batch.airborne.simulate.scene.beam_layers import linear_returns, surfaces_at
 from spl_batch.airborne.simulate.scene.layout import Layout
 from spl_batch.airborne.simulate.scene.ray_trace import (
     KIND_GROUND,
@@ -132,9 +128,8 @@ def _reference(scene: Scene, arrays: SceneArrays, path: Path) -> None:
     rng = scene.chance(4)
     n = round(scene.reference.density_per_m2 * scene.extent_m[0] * scene.extent_m[1])
     xy = rng.random((n, 2)) * scene.extent_m
-    z, kind = np.empty((n, 2)), np.zeros((n, 2), dtype=np.uint8)
     above = float(arrays.ground.z.max()) + 500.0
-    linear_returns(rng, arrays, xy, above, LINEAR_SPOT_M, empty_layers(arrays), z, kind)
+    z, kind = linear_returns(rng, arrays, xy, above, LINEAR_SPOT_M)
     header = las_header(scene.crs, scene.origin_m, scene.acquisition.start_s)
     with replacing(path) as part, cloud_writer(part, header) as cloud:
         for first in range(0, n, PULSES_AT_ONCE):

@@ -36,7 +36,6 @@ from spl_batch.airborne.simulate.shots import (
     POINT,
     Optics,
     Shots,
-    empty_beamlet,
     event_room,
     fire,
 )
@@ -140,7 +139,6 @@ def _fly(rig: _Rig, run: Pass, files: PointFiles) -> Iterator[tuple[int, int]]:
     """Write one flightline piece by piece: shots that were fired, and their returns [count]."""
     centres = gate_centres(run)
     room = _most_events(rig, run)
-    beamlet = empty_beamlet(rig.arrays, room)
     buffer = np.empty(max(BUFFER_POINTS, 2 * room * len(rig.optics.gain)), POINT)
     for piece in run.chunks:
         gate = rig.scene.gate_of(run.flight)
@@ -150,7 +148,7 @@ def _fly(rig: _Rig, run: Pass, files: PointFiles) -> Iterator[tuple[int, int]]:
         first = 0
         while first < len(piece.shot):
             last, count = fire(
-                rng, rig.arrays, rig.optics, rig.receiver, rig.air, shots, first, beamlet,
+                rng, rig.arrays, rig.optics, rig.receiver, rig.air, shots, first, room,
                 rig.grid, buffer,
             )  # fmt: skip
             points = buffer[:count]

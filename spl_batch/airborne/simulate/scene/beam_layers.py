@@ -178,11 +178,13 @@ def look(
     return n, hard, cosine, rho, kind
 
 
+@njit()
 def layer_room(scene: SceneArrays) -> int:
     """Most objects listed for one cell, one more, and a water's surface and column."""
-    return 3 + int(np.diff(scene.cell_first, axis=1).max(initial=0))
+    return 3 + int((scene.cell_first[:, 1:] - scene.cell_first[:, :-1]).max())
 
 
+@njit()
 def empty_layers(scene: SceneArrays) -> NDArray[np.float64]:
     """Room for the layers of one beam."""
     return np.empty((layer_room(scene), LAYER_FIELDS))
@@ -243,16 +245,13 @@ def linear_returns(
     xy: NDArray[np.float64],
     above_m: float,
     spot_m: float,
-    layers: NDArray[np.float64],
-    z: NDArray[np.float64],
-    kind: NDArray[np.uint8],
-) -> None:
+) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
     """Up to two returns of each vertical pulse: one of a layer, one of the hard surface.
 
     The pulse is infrared: the surface of water is as far as it gets. Pulses go down at ``xy``
-    (n, 2). ``z`` and ``kind``, (n, 2) each, are filled with heights [m], NaN where there is no
-    return, and with what gave them.
+    (n, 2). Heights [m], NaN where there is no return, and what gave them: (n, 2) each.
     """
+    z, kind, layers = np.empty(xy.shape), np.zeros(xy.shape, np.uint8), empty_layers(scene)
     origin, down = np.empty(3), np.array([0.0, 0.0, -1.0])
     for p in range(len(xy)):
         origin[0], origin[1], origin[2] = xy[p, 0], xy[p, 1], above_m
@@ -275,3 +274,4 @@ def linear_returns(
             left *= 1 - share
         z[p, 1] = above_m - hard if left > SEE_THROUGH else np.nan
         kind[p, 1] = int(hard_kind)
+    return z, kind
