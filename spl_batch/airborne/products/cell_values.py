@@ -58,25 +58,6 @@ def _sort_into_cells(
 
 
 @njit()
-def number_cells(
-    x: NDArray[np.int64],
-    y: NDArray[np.int64],
-    corner: tuple[int, int],
-    size: float,
-    cols: int,
-    out: NDArray[np.int64],
-) -> None:
-    """Number of the raster cell of each point into ``out``; all in quanta.
-
-    None lies west or south of the ``corner`` (x, y); ``size``, the edge of a cell, is whole.
-    """
-    for i in range(len(x)):
-        # A quotient of whole numbers below 2**53 never rounds up to the next whole one.
-        row, col = np.int64((y[i] - corner[1]) / size), np.int64((x[i] - corner[0]) / size)
-        out[i] = row * cols + col
-
-
-@njit()
 def flown_over(
     place: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]],
     picked: tuple[NDArray[np.uint8], int],
@@ -208,9 +189,10 @@ def shape_of(bounds: Bounds, size: int) -> tuple[int, int]:
 
 def cell_number(table: PointTable, bounds: Bounds, size: int) -> NDArray[np.int64]:
     """Number of the raster cell of each point within bounds, row by row from the south-west."""
-    number = np.empty(len(table), np.int64)
-    corner, cols = (bounds.xmin, bounds.ymin), shape_of(bounds, size)[1]
-    number_cells(table["x"], table["y"], corner, float(size), cols, number)
+    number = table["y"] - bounds.ymin
+    number //= size
+    number *= shape_of(bounds, size)[1]
+    number += (table["x"] - bounds.xmin) // size
     return number
 
 
@@ -233,16 +215,11 @@ def owned(core: Bounds, edge: int) -> Bounds:
     return Bounds(*(-(-(side - edge // 2) // edge) for side in core))
 
 
-def shape(squares: Bounds) -> tuple[int, int]:
-    """Rows and columns of some squares."""
-    return squares.ymax - squares.ymin, squares.xmax - squares.xmin
-
-
 def held(
     x: NDArray[np.int64], y: NDArray[np.int64], squares: Bounds, edge: int
 ) -> NDArray[np.bool_]:
     """Which squares hold a place, row 0 southernmost: (rows, columns) bool."""
-    found = np.zeros(shape(squares), np.bool_)
+    found = np.zeros(shape_of(squares, 1), np.bool_)
     row, column = y // edge - squares.ymin, x // edge - squares.xmin
     there = (row >= 0) & (row < found.shape[0]) & (column >= 0) & (column < found.shape[1])
     found[row[there], column[there]] = True

@@ -16,7 +16,7 @@ DTM    TIN through one vertex per raster cell, evaluated at cell centres: the ro
        (:mod:`~spl_batch.airborne.ground.water.level`).
 DSM    Highest return of the cell that is ground or that its peers confirm: more of
        them in a sphere than noise alone puts there, spheres from ``dsm_near_m`` to
-       ``dsm_support_m`` in turn (:mod:`spl_batch.airborne.products.confirmed_tops`).
+       ``dsm_support_m`` in turn (:mod:`spl_batch.airborne.products.top_surface`).
        The returns that the filter refused measure that noise; without any,
        ``dsm_support`` returns do. A wire of few returns per metre stands out of the
        DSM only where there is little noise. In a pit, more than 2 m below most cells
