@@ -34,6 +34,7 @@ Returns that the filter has not assessed (no beam; or no filter at all) take par
 only where it holds no assessed signal.
 """
 
+from itertools import product
 from typing import Final
 
 import numpy as np
@@ -59,7 +60,7 @@ from spl_batch.airborne.products.top_surface import (
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
-from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
+from spl_batch.lattice.tiles import Bounds, grow, inside, quanta, shared
 from spl_batch.numerics.nearest_heights import nearest_heights
 from spl_batch.numerics.triangulation.tin_raster import tin_raster
 
@@ -219,20 +220,13 @@ class _Surfaces:
         nearest_heights(places, start, lattice, float(quanta(NEAR_M)), found)
         return found
 
-    def _held_corners(self) -> NDArray[np.bool_]:
-        """Which corners of the area have returns: (2, 2), west and east, south and north."""
-        near, wide, table = CORNER_CELLS * self._size, self.region, self._table
-        corners = np.zeros((2, 2), np.bool_)
-        for i, west in enumerate((wide.xmin, wide.xmax)):
-            beside = np.flatnonzero(np.abs(table["x"] - west) <= near)
-            for j, south in enumerate((wide.ymin, wide.ymax)):
-                held = beside[np.abs(table["y"][beside] - south) <= near]
-                returns = table.select(("x", "y", "noise_class", "flags")).take(held)
-                signal = inside(returns["x"], returns["y"], wide)
-                signal &= returns["noise_class"] == NOISE_SIGNAL
-                signal &= ~returns.has(EXCLUDED | PointFlag.OUTSIDE_AOI)
-                corners[i, j] = signal.any()
-        return corners
+    def _has_signal(self, region: Bounds) -> bool:
+        """Whether a part of the area holds signal."""
+        there = inside(self._table["x"], self._table["y"], shared(region, self.region))
+        returns = self._table.select(("noise_class", "flags")).take(there)
+        signal = returns["noise_class"] == NOISE_SIGNAL
+        signal &= ~returns.has(EXCLUDED | PointFlag.OUTSIDE_AOI)
+        return bool(signal.any())
 
     def _covered_corners(self, vertices: NDArray[np.float64]) -> NDArray[np.float64]:
         """Vertices for corners of an area that have returns but no ground: (k, 3) [quanta].
@@ -243,14 +237,12 @@ class _Surfaces:
         where nothing was returned the survey ends, and so do the triangles.
         """
         near, wide, found = CORNER_CELLS * self._size, self.region, []
-        held = self._held_corners()
-        for i, west in enumerate((0, wide.xmax - wide.xmin)):
-            for j, south in enumerate((0, wide.ymax - wide.ymin)):
-                corner = west, south
-                away = np.abs(vertices[:, :2] - corner).max(axis=1)
-                if len(away) and away.min() > near and held[i, j]:
-                    distance2 = ((vertices[:, :2] - corner) ** 2).sum(axis=1)
-                    found.append([*corner, vertices[distance2.argmin(), 2]])
+        for x, y in product((wide.xmin, wide.xmax), (wide.ymin, wide.ymax)):
+            corner = x - wide.xmin, y - wide.ymin
+            off = vertices[:, :2] - corner
+            bare = len(off) and np.abs(off).max(axis=1).min() > near
+            if bare and self._has_signal(grow(Bounds(x, y, x + 1, y + 1), near)):
+                found.append([*corner, vertices[(off**2).sum(axis=1).argmin(), 2]])
         return np.array(found, dtype=np.float64).reshape(-1, 3)
 
 

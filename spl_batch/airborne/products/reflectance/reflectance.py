@@ -39,6 +39,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from spl_batch.airborne.products.cell_values import fill_voids, ring_offsets, sort_into_cells
 from spl_batch.airborne.products.reflectance.beamlet_matching import (
@@ -269,7 +270,7 @@ def first_surface(
     median[used] = z[order[start[used] + (count[used] - 1) // 2]] * QUANTUM_M
     credible = credible_heights(median.reshape(shape), count.reshape(shape), settings.cell_m)
     height = fill_voids(credible, settings.dsm_void_max_m / settings.cell_m)
-    low, high = (bounds(height, keep) for keep in (np.fmin, np.fmax))
+    low, high = bounds(height), -bounds(-height)
     return Grid(settings.cell_m, height, slopes(height, settings.cell_m), low, high)
 
 
@@ -324,17 +325,10 @@ def slopes(height: NDArray[np.float64], cell_m: float) -> NDArray[np.float64]:
     return out
 
 
-def bounds(height: NDArray[np.float64], keep: np.ufunc) -> NDArray[np.float64]:
-    """Lowest or highest of the cells in and around each coarse square."""
-    rows, cols = height.shape
-    padded = np.pad(height, ((0, -rows % COARSE), (0, -cols % COARSE)), constant_values=np.nan)
-    coarse = padded.reshape(padded.shape[0] // COARSE, COARSE, -1, COARSE)
-    square: NDArray[np.float64] = keep.reduce(keep.reduce(coarse, axis=3), axis=1)
-    for axis in (0, 1):
-        edge = [(0, 0), (0, 0)]
-        edge[axis] = (1, 1)
-        around = np.pad(square, edge, constant_values=np.nan)
-        n = square.shape[axis]
-        taken = [np.take(around, np.arange(k, k + n), axis=axis) for k in range(3)]
-        square = keep(keep(taken[0], taken[1]), taken[2])
-    return square
+def bounds(height: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lowest of the cells in and around each coarse square; NaN without any."""
+    edges = [(0, -side % COARSE) for side in height.shape]
+    filled = np.pad(np.where(np.isnan(height), np.inf, height), edges, constant_values=np.inf)
+    squares = filled.reshape(-1, COARSE, filled.shape[1] // COARSE, COARSE).min(axis=(1, 3))
+    lowest = ndimage.minimum_filter(squares, 3, mode="constant", cval=np.inf)
+    return np.where(np.isinf(lowest), np.nan, lowest)

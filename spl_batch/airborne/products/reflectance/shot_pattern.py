@@ -83,23 +83,6 @@ def normal_equations(
 
 
 @njit()
-def predict(
-    coefficient: NDArray[np.float64],
-    tau: float,
-    gx: float,
-    gy: float,
-    term: NDArray[np.float64],
-) -> tuple[float, float]:
-    """Where a beamlet meets the reference plane, from the block's anchor [m]; ``term``: room."""
-    basis(tau, gx, gy, term)
-    x = y = 0.0
-    for i in range(TERMS):
-        x += coefficient[i, 0] * term[i]
-        y += coefficient[i, 1] * term[i]
-    return x, y
-
-
-@njit()
 def misfit(
     start: NDArray[np.int64],
     tau: NDArray[np.float64],
@@ -117,8 +100,12 @@ def misfit(
             gx, gy = pattern[b, channel[row], 0], pattern[b, channel[row], 1]
             if np.isnan(gx):
                 continue
-            x, y = predict(coefficient[b], tau[row], gx, gy, term)
-            total += (place[row, 0] - x) ** 2 + (place[row, 1] - y) ** 2
+            basis(tau[row], gx, gy, term)
+            for axis in range(2):
+                at = 0.0
+                for i in range(TERMS):
+                    at += coefficient[b, i, axis] * term[i]
+                total += (place[row, axis] - at) ** 2
             count += 1
         rms[b] = np.sqrt(total / count) if count else np.nan
 
