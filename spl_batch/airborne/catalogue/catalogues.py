@@ -23,6 +23,7 @@ from spl_batch.airborne.catalogue.delivered_files import (
     read_raster_file,
     utc_span,
 )
+from spl_batch.airborne.catalogue.stac import write_stac
 from spl_batch.errors import plain
 from spl_batch.formats.crs import crs_name
 from spl_batch.formats.files.atomic import replacing, scratch_folder
@@ -93,8 +94,6 @@ def write_catalogues(
     held = [cloud for cloud in clouds if cloud.points]
     reason = _why_without_places(crs, held, rasters)
     if crs is not None and not reason:
-        from spl_batch.airborne.catalogue.stac import write_stac  # noqa: PLC0415 - loads pystac
-
         elsewhere = [cloud for cloud in moved if cloud.points]
         delivery = Delivery(plain(name), crs, held, rasters, publisher, elsewhere)
         written += write_stac(output, delivery)

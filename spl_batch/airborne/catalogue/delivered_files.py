@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import laspy
+import numpy as np
 import shapely
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
@@ -191,16 +192,6 @@ def box_deg(box: Box, crs: CRS) -> Box:
     return west, south, east, north
 
 
-def outline_deg(box: Box, crs: CRS) -> dict[str, Any]:
-    """Corners of a box of a CRS in longitudes and latitudes, as GeoJSON."""
-    ring = shapely.get_coordinates(shapely.box(*box, ccw=True))
-    lon, lat = _to_degrees(crs).transform(*ring.T)
-    return {
-        "type": "Polygon",
-        "coordinates": [[[x, y] for x, y in zip(lon.tolist(), lat.tolist(), strict=True)]],
-    }
-
-
 @lru_cache(maxsize=8)
 def _to_degrees(crs: CRS) -> Transformer:
     return Transformer.from_crs(horizontal(crs), 4326, always_xy=True)
@@ -215,10 +206,9 @@ def leads_to_degrees(crs: CRS) -> bool:
     return True
 
 
-def outline(box: Box) -> dict[str, Any]:
-    """Corners of a box, as GeoJSON in its CRS."""
-    found: dict[str, Any] = shapely.geometry.mapping(shapely.box(*box, ccw=True))
-    return {
-        "type": found["type"],
-        "coordinates": [[list(corner) for corner in ring] for ring in found["coordinates"]],
-    }
+def outline(box: Box, crs: CRS | None = None) -> dict[str, Any]:
+    """Corners of a box, as GeoJSON; in longitudes and latitudes where its CRS is given."""
+    ring = shapely.get_coordinates(shapely.box(*box, ccw=True))
+    if crs is not None:
+        ring = np.column_stack(_to_degrees(crs).transform(*ring.T))
+    return {"type": "Polygon", "coordinates": [ring.tolist()]}
