@@ -209,10 +209,7 @@ class _Surfaces:
         return dtm, np.maximum(sigma, misfit)
 
     def _honoured(self, near: Bounds, shape: tuple[int, int]) -> NDArray[np.float64]:
-        """Lowest and highest that the nearest ground allows in the cells within a rim: (2, ., .).
-
-        [quanta]; NaN without ground within :data:`NEAR_M`.
-        """
+        """Least and most that the ground within :data:`NEAR_M` allows, else NaN: (2, ., .)."""
         ground = self._ground.take(inside(self._ground["x"], self._ground["y"], near))
         rows, cols = shape_of(near, self._size)
         places, start, _ = by_cell(ground, near, self._size)
@@ -275,10 +272,7 @@ def _signal(
 
 
 def _counts(signal: PointTable, cell: Bounds, size: int) -> dict[str, NDArray[np.float64]]:
-    """Signal returns per m2, mean intensity; or NaN.
-
-    Intensity is that of first returns, and of all returns of a cell that has no first one.
-    """
+    """Signal returns per m2; mean intensity of first returns, of all in a cell without; or NaN."""
     needed = signal.select([n for n in ("x", "y", "z", *COLUMNS_OF_INTENSITY) if n in signal])
     core = needed.take(inside(signal["x"], signal["y"], cell))
     shape = shape_of(cell, size)

@@ -122,10 +122,7 @@ def terrain_sigma(means: Grid, cell_m: float, scatter: Scatter | None = None) ->
 
 
 def _layer_variance(scatter: Scatter, integrals: Grid, differ: Grid, cell_m: float) -> Grid:
-    """Variance of the ground within the layer that its returns fill: (rows, columns) [m2].
-
-    ``differ``: variance by which a cell's mean differs from those around [m2].
-    """
+    """Variance of ground within the layer of its returns; ``differ``: of means among cells [m2]."""
     shape = scatter.returns.shape
     planes = np.zeros((5, *shape))
     everywhere = np.ones(shape, np.bool_)
@@ -232,10 +229,7 @@ def _box(integrals: Grid, k: int, r: int, c: int, low: int, high: int) -> float:
 
 
 def _boxes(integrals: Grid, reach: int) -> Grid:
-    """Sums over a square around each cell, whole at the edges: (n, rows, columns).
-
-    ``integrals``: added up in a :func:`_room` of that reach.
-    """
+    """Sums over a square around each cell, of what is added up in a :func:`_room` of that reach."""
     low, high = slice(-2 * reach - 1), slice(2 * reach + 1, None)
     summed: Grid = integrals[:, high, high] - integrals[:, low, high]
     summed -= integrals[:, high, low]
@@ -279,11 +273,9 @@ def _fit_planes(
 
 
 def _at_distance(levels: Grid, away: Grid, radii: tuple[int, ...]) -> Grid:
-    """Deviation at each cell by its distance to ground [cells]; linear between the rings.
-
-    A cell with ground is its own mean of returns: it shares with its neighbours what differs
-    between them. Beyond the largest ring the deviation grows with the distance.
-    """
+    """Deviation at each cell by its distance to ground [cells]; linear between the rings."""
+    # A cell with ground is its own mean of returns: it shares with its neighbours what differs
+    # between them.
     found = levels[0].copy()
     for k in range(1, len(radii)):
         share = np.clip((away - radii[k - 1]) / (radii[k] - radii[k - 1]), 0.0, 1.0)

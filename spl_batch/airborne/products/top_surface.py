@@ -158,6 +158,7 @@ def _tops(signal: PointTable, near: Bounds, size: int, support: Support) -> NDAr
     return lifted.ravel()
 
 
+@njit()
 def confirmed_tops(
     xyz: NDArray[np.int32],
     ground: NDArray[np.bool_],
@@ -173,21 +174,14 @@ def confirmed_tops(
     ``ground``: returns that need no confirmation and give none; ``grid``: cells of a row, and their
     edge [quanta].
     """
-    tops[:] = np.nan
-    _confirm(
-        xyz, ground, start, grid, by.neighbours, float(by.radius.max()) ** 2, by.peer_ratio**2,
-        by.radius.astype(np.float64) ** 2, by.needed, by.noise, tops,
-    )  # fmt: skip
-
-
-@njit()
-def _confirm(xyz, ground, start, grid, neighbours, cap2, ratio2, limit, needed, noise, tops):  # type: ignore[no-untyped-def]
-    """The first confirmed return of each cell, from the highest down.
-
-    A spacing is found when it is needed, and kept.
-    """
-    nearest, spacing = np.empty(neighbours), np.full(len(xyz), np.nan)
+    cap2, ratio2, limit = (
+        float(by.radius.max()) ** 2,
+        by.peer_ratio**2,
+        by.radius.astype(np.float64) ** 2,
+    )
+    nearest, spacing = np.empty(by.neighbours), np.full(len(xyz), np.nan)
     for cell in range(len(tops)):
+        tops[cell] = np.nan
         for p in range(start[cell], start[cell + 1]):
             accepted = ground[p]
             if not accepted:
@@ -197,7 +191,7 @@ def _confirm(xyz, ground, start, grid, neighbours, cap2, ratio2, limit, needed, 
                     break
                 accepted = _has_peers(
                     xyz, ground, start, grid, p, cell, limit[scale],
-                    needed[noise[cell], scale] + 1, ratio2,
+                    by.needed[by.noise[cell], scale] + 1, ratio2,
                     cap2, nearest, spacing,
                 )  # fmt: skip
             if accepted:
@@ -228,10 +222,7 @@ def _gap2(xyz, p, row, col, size):  # type: ignore[no-untyped-def]
 
 @njit()
 def _find_spacing(xyz, start, grid, p, cell, cap2, nearest, spacing):  # type: ignore[no-untyped-def]
-    """Squared spacing of a return, if it is not known yet [quanta2].
-
-    Rings of cells around its own are searched until none can hold a nearer neighbour.
-    """
+    """Squared spacing of a return, if it is not known yet, by rings of cells around [quanta2]."""
     if not np.isnan(spacing[p]):
         return
     cols, size = grid
@@ -278,11 +269,9 @@ def _look_through(xyz, p, low, high, nearest):  # type: ignore[no-untyped-def]
 def _has_peers(  # type: ignore[no-untyped-def]
     xyz, ground, start, grid, p, cell, limit, wanted, ratio2, cap2, nearest, spacing
 ):
-    """Whether a return has enough peers within a distance, itself among them.
-
-    As :func:`spl_batch.airborne.filter.ellipsoid.spacing.peers_within`, which is given all
-    spacings. Here few are needed and each costs a search, so they are found on the way.
-    """
+    """Whether a return has enough peers within a distance, itself among them."""
+    # `filter.ellipsoid.spacing.peers_within` is given all spacings. Here few are needed and each
+    # costs a search, so they are found on the way.
     cols, size = grid
     rows, row, col = (len(start) - 1) // cols, cell // cols, cell % cols
     count, ring = 0, 0
