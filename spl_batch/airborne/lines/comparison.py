@@ -158,12 +158,8 @@ def _returns(cells: Iterable[_Cell]) -> Counter[str]:
 
 def _overlaps(cells: Iterable[_Cell]) -> set[tuple[str, str]]:
     """Pairs of flightlines that overlap in a cell, the lesser name first."""
-    found = set()
-    for cell in cells:
-        for one, other in cell.overlaps:
-            first, second = sorted((cell.names[one], cell.names[other]))
-            found.add((first, second))
-    return found
+    pairs = [(cell.names[one], cell.names[other]) for cell in cells for one, other in cell.overlaps]
+    return {(min(pair), max(pair)) for pair in pairs}
 
 
 def _map(cells: Sequence[Patches]) -> dict[str, NDArray[Any]]:

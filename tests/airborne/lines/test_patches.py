@@ -14,8 +14,8 @@ from spl_batch.airborne.lines.patches import (
     MIN_RETURNS_PER_PATCH,
     THICKEST_M,
     Patches,
-    doubled,
     find_patches,
+    in_fours,
     moments_of,
     region,
     seen_lines,
@@ -45,7 +45,7 @@ def test_moments_are_the_sums_of_the_points_of_each_square() -> None:
                 v, w = y[mine] - 20_000, z[mine]
                 wanted = [len(u), u, v, w, u * u, u * v, v * v, u * w, v * w, w * w]
                 assert got[s, j, i].tolist() == [int(np.sum(one)) for one in wanted]
-    assert np.array_equal(doubled(got)[:, 1, 3], got[:, 2:, 6:].sum(axis=(1, 2)))
+    assert np.array_equal(in_fours(got)[:, 1, :, 3], got[:, 2:, 6:])
 
 
 def oracle(first: NDArray[Any], second: NDArray[Any]) -> dict[str, float]:
