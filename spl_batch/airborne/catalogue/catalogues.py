@@ -11,17 +11,14 @@ from pyproj import CRS
 
 from spl_batch.airborne.catalogue.delivered_files import (
     INDEX,
-    UNKNOWN_SPAN,
     UNNAMED,
     Cloud,
     Delivery,
     Publisher,
     RasterFile,
-    Span,
     leads_to_degrees,
     read_cloud,
     read_raster_file,
-    utc_span,
 )
 from spl_batch.airborne.catalogue.stac import write_stac
 from spl_batch.errors import plain
@@ -82,11 +79,10 @@ def write_catalogues(
         What could not be written, and why.
     """
     units = Units.of(crs)
-    clouds = [read_cloud(output, one["href"], _span(one["span_s"]), crs) for one in args["clouds"]]
+    clouds = [read_cloud(output, crs=crs, **one) for one in args["clouds"]]
     moved = [
-        read_cloud(output, href, _span(one["span_s"]), header_crs(read_header(output / href))[0])
+        read_cloud(output, crs=header_crs(read_header(output / one["href"]))[0], **one)
         for one in args["reprojected"]
-        for href in [one["href"]]
     ]
     rasters = [read_raster_file(output, href) for href in args["rasters"]]
     text = None if crs is None else crs.to_wkt()
@@ -112,10 +108,6 @@ def _why_without_places(
     if not held and not rasters:
         return "no delivered cloud holds a point, and there is no raster"
     return ""
-
-
-def _span(seconds: Sequence[float] | None) -> Span:
-    return UNKNOWN_SPAN if seconds is None else utc_span(*seconds)
 
 
 def _layers(

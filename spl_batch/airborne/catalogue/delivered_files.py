@@ -52,7 +52,7 @@ class Span(NamedTuple):
     last: dt.datetime
 
 
-def utc_span(first_s: float, last_s: float) -> Span:
+def _utc_span(first_s: float, last_s: float) -> Span:
     """Moments of two adjusted standard GPS times [s]."""
     moments = (
         GPS_EPOCH + dt.timedelta(seconds=s + ADJUSTED_STANDARD_OFFSET_S - leap_seconds(s))
@@ -104,8 +104,12 @@ class Cloud:
         return self.points / area_m2 if area_m2 else 0.0
 
 
-def read_cloud(output: Path, href: str, span: Span, crs: CRS | None) -> Cloud:
-    """A delivered cloud in a CRS, from its header."""
+def read_cloud(output: Path, href: str, span_s: Sequence[float] | None, crs: CRS | None) -> Cloud:
+    """A delivered cloud in a CRS, from its header.
+
+    ``span_s``: first and last adjusted standard GPS time of its points [s]; None without times.
+    """
+    span = UNKNOWN_SPAN if span_s is None else _utc_span(*span_s)
     with laspy.open(output / href) as reader:
         header = reader.header
         low, high = header.mins.tolist(), header.maxs.tolist()

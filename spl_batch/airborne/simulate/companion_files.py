@@ -17,7 +17,6 @@ from spl_batch.airborne.simulate.file_writers import (
     las_header,
     sbet_records,
     write_polygons,
-    write_trajectory_csv,
 )
 from spl_batch.airborne.simulate.flight import Pass
 from spl_batch.airborne.simulate.scene.beam_layers import linear_returns, surfaces_at
@@ -117,8 +116,9 @@ def _trajectory(scene: Scene, passes: list[Pass], out: Path) -> None:
         xyz = run.position(time_s) + np.array([*scene.origin_m[:2], 0.0])
         tables.append(np.column_stack([time_s, xyz]))
         records.append(sbet_records(scene.crs, time_s, xyz, run.attitude(time_s)))
-    table = np.concatenate(tables)
-    write_trajectory_csv(out / "trajectory.csv", table[:, 0], table[:, 1:])
+    with replacing(out / "trajectory.csv") as part:
+        header, form = "gps_time,x,y,z", "%.6f,%.4f,%.4f,%.4f"
+        np.savetxt(part, np.concatenate(tables), form, header=header, comments="")
     with replacing(out / "trajectory.sbet") as part:
         np.concatenate(records).tofile(part)
 

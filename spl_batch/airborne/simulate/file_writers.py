@@ -142,15 +142,6 @@ def _truth(points: NDArray[np.void], chosen: NDArray[np.intp], before: int) -> p
     return pa.table(columns, schema=TRUTH)
 
 
-def write_trajectory_csv(
-    path: Path, time_s: NDArray[np.float64], xyz_m: NDArray[np.float64]
-) -> None:
-    """Trajectory as gps_time,x,y,z in the survey's CRS."""
-    with replacing(path) as part:
-        table = np.column_stack([time_s, xyz_m])
-        np.savetxt(part, table, "%.6f,%.4f,%.4f,%.4f", header="gps_time,x,y,z", comments="")
-
-
 def sbet_records(
     crs: str,
     time_s: NDArray[np.float64],
