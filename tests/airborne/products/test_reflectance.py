@@ -99,6 +99,7 @@ def survey(
     table = PointTable({}).with_columns(
         x=xy[:, 0], y=xy[:, 1], z=np.zeros(len(xy)), shot=shot, channel=channel + 1,
         gps_time=CLOCK.t0_s + shot / CLOCK.prf_hz, noise_class=np.zeros(len(xy)),
+        line=np.full(len(xy), 7),
     )  # fmt: skip
     points = np.column_stack([xy / 1000, np.zeros(len(xy))])
     direction = points - sensor[shot]
@@ -108,7 +109,7 @@ def survey(
 
 
 def part_of(table: PointTable, beams: BeamTable, gain: NDArray[np.float64]) -> FiredPart:
-    return aim(table, beams, model(gain), SENSOR, CLOCK)
+    return aim(table, beams, model(gain), SENSOR, CLOCK, 7)
 
 
 def predicted(part: FiredPart, shot: int, channel: int) -> NDArray[np.float64]:
@@ -204,6 +205,21 @@ def test_a_flightline_that_is_shifted_takes_its_beamlets_along() -> None:
     moved = table.with_columns(z=table["z"] + up)
     np.testing.assert_allclose(raster(moved, [part.raised(up)], CORE, PRODUCTS), here, rtol=1e-3)
     assert np.abs(raster(moved, [part], CORE, PRODUCTS) / here - 1).max() > 0.1
+
+
+def test_flightlines_flown_at_the_same_time_have_returns_of_their_own() -> None:
+    """Twice the beamlets, of which half see nothing: far less light; as much where both see."""
+    table, beams, _ = survey(two_halves, flat_gain())
+    part = part_of(table, beams, flat_gain())
+    alone = raster(table, [part], CORE, PRODUCTS)
+    other = replace(part, line=8)
+    dark = raster(table, [part, other], CORE, PRODUCTS)
+    known = (alone != NODATA) & (alone > 0)
+    assert (dark[known] < 0.75 * alone[known]).all()
+    both = PointTable({k: np.concatenate([table[k], table[k]]) for k in table.columns})
+    lines = np.repeat([7, 8], len(table)).astype(np.uint16)
+    twice = raster(both.with_columns(line=lines), [other, part], CORE, PRODUCTS)
+    assert np.median(twice[known] / alone[known]) == pytest.approx(1.0, abs=0.05)
 
 
 def test_noise_is_no_detection_and_hides_none() -> None:

@@ -67,7 +67,7 @@ on the reference plane that the fit is relative to, and its height [m]; where be
 plane, see :mod:`~spl_batch.airborne.products.reflectance.shot_pattern` [m]; sensor relative to the
 anchor at the middle, and its motion per unit of time [m]; which pattern it has."""
 
-_NUMBERS: Final = ("constant_m2", "t0_s", "prf_hz", "dropped")
+_NUMBERS: Final = ("constant_m2", "t0_s", "prf_hz", "dropped", "line")
 """What a part has once."""
 
 
@@ -84,6 +84,7 @@ class FiredPart:
     t0_s: float
     prf_hz: float
     dropped: int  #: Blocks with returns that no fit describes.
+    line: int  #: Number of the flightline.
 
     @property
     def pattern(self) -> NDArray[np.float64]:
@@ -107,8 +108,8 @@ class FiredPart:
     def from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> "FiredPart":
         """Part that :meth:`to_arrays` gave."""
         numbers = dict(zip(_NUMBERS, arrays["numbers"].tolist(), strict=True))
-        numbers["dropped"] = int(numbers["dropped"])
-        return cls(arrays["blocks"], arrays["patterns"], arrays["gain"], **numbers)
+        whole = {name: int(numbers.pop(name)) for name in ("dropped", "line")}
+        return cls(arrays["blocks"], arrays["patterns"], arrays["gain"], **numbers, **whole)
 
     def reach(self) -> list[int]:
         """Rectangle that the beamlets can meet near their reference planes [m]."""
@@ -122,7 +123,12 @@ class FiredPart:
 
 
 def aim(
-    table: PointTable, beams: BeamTable, model: LineModel, sensor: Sensor, clock: ShotClock
+    table: PointTable,
+    beams: BeamTable,
+    model: LineModel,
+    sensor: Sensor,
+    clock: ShotClock,
+    line: int,
 ) -> FiredPart:
     """Beamlets fired during a stretch.
 
@@ -136,6 +142,8 @@ def aim(
         Which shots were fired, and the gain of each channel.
     sensor : Sensor
         Array and link budget [W17 Eq. 2.1].
+    line : int
+        Number of the flightline.
     """
     table = table.select(COLUMNS_NEEDED)
     origin, direction = beams.origin_m, beams.direction
@@ -168,7 +176,7 @@ def aim(
         blocks[name] = values
     return FiredPart(
         blocks[good], np.concatenate([grid[None], learnt]), _sensitivity(model, channels),
-        link_constant(sensor), clock.t0_s, clock.prf_hz, int(np.count_nonzero(~good)),
+        link_constant(sensor), clock.t0_s, clock.prf_hz, int(np.count_nonzero(~good)), line,
     )  # fmt: skip
 
 

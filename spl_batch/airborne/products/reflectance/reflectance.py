@@ -60,7 +60,7 @@ from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
 from spl_batch.numerics.compiled import njit
 
-COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "noise_class")
+COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "line", "noise_class")
 
 FIRED_MIN: Final = 5
 """Cells that fewer beamlets were fired at hold nothing [count]."""
@@ -117,7 +117,7 @@ def raster(
     longest = float(np.max((blocks.last - blocks.first + 1) / blocks.prf_hz))
     cells = shape[0] + 2 * margin, shape[1] + 2 * margin
     match_points(
-        table["gps_time"], table["channel"], (table["x"], table["y"], table["z"]),
+        table["gps_time"], table["channel"], table["line"], (table["x"], table["y"], table["z"]),
         signal, (wide.xmin, wide.ymin, size, cells[1]), blocks, longest, number, top,
     )  # fmt: skip
     first = top[top != SILENT]
@@ -178,7 +178,9 @@ def _join(parts: Sequence[FiredPart], wide: Bounds) -> Blocks:
     """Blocks of several stretches by time, relative to a corner."""
     size = [len(p.blocks) for p in parts]
     channels = max(p.patterns.shape[1] for p in parts)
-    t0_s, prf_hz = (np.repeat([getattr(p, k) for p in parts], size) for k in ("t0_s", "prf_hz"))
+    t0_s, prf_hz, line = (
+        np.repeat([getattr(p, k) for p in parts], size) for k in ("t0_s", "prf_hz", "line")
+    )
     blocks = np.concatenate([p.blocks for p in parts])
     blocks["anchor"] -= np.array([wide.xmin * QUANTUM_M, wide.ymin * QUANTUM_M, 0.0])
     begin_s = t0_s + (blocks["first"] - 0.5) / prf_hz
@@ -187,13 +189,13 @@ def _join(parts: Sequence[FiredPart], wide: Bounds) -> Blocks:
         [np.repeat(_widen(p.gain[None] * p.constant_m2, channels, 0.0), len(p.blocks), 0)
          for p in parts]
     )  # fmt: skip
-    anchor = blocks["anchor"]
-    order = np.lexsort((anchor[:, 1], anchor[:, 0], blocks["first"], begin_s))
+    order = np.lexsort((line, begin_s))
     blocks = blocks[order]
     shots = blocks["last"] - blocks["first"] + 1
     fitted = "first", "last", "middle", "half", "anchor", "coefficient", "origin"
     return Blocks(
         begin_s=begin_s[order],
+        line=line[order],
         t0_s=t0_s[order],
         prf_hz=prf_hz[order],
         **{name: np.ascontiguousarray(blocks[name]) for name in fitted},
