@@ -24,6 +24,7 @@ from spl_batch.airborne.beams.rays import meet_planes
 from spl_batch.airborne.noise.line_model import LineModel
 from spl_batch.airborne.products.reflectance.shot_pattern import (
     TERMS,
+    Rows,
     learn_pattern,
     misfit,
     motion,
@@ -46,9 +47,6 @@ LEARNING_ROUNDS: Final = 4
 
 _RIDGE: Final = 1e-7
 """Weight of "zero" for coefficients that a block's few shots do not determine."""
-
-Rows = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.uint8], NDArray[np.float64]]
-"""Returns of blocks, as :func:`normal_equations` takes them: start, tau, channel, place."""
 
 BLOCK: Final = np.dtype(
     [
@@ -212,40 +210,35 @@ def _grid(sensor: Sensor, channels: int) -> NDArray[np.float64]:
 
 
 def _fit(
-    data: Rows,
-    pattern: NDArray[np.float64],
+    data: Rows, pattern: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Coefficients of each block, and the root mean square distance from them [m]."""
     m = len(data[0]) - 1
     matrix, right = np.empty((m, TERMS, TERMS)), np.empty((m, TERMS, 2))
-    normal_equations(*data, pattern, matrix, right)
+    normal_equations(data, pattern, matrix, right)
     diagonal = np.arange(TERMS)
     matrix[:, diagonal, diagonal] += _RIDGE * np.maximum(np.diff(data[0]), 1)[:, None]
     coefficient: NDArray[np.float64] = np.linalg.solve(matrix, right).astype(np.float64)
     rms = np.empty(m)
-    misfit(*data, pattern, coefficient, rms)
+    misfit(data, pattern, coefficient, rms)
     return coefficient, rms
 
 
 def _learn(
-    data: Rows,
-    channels: int,
+    data: Rows, channels: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Array, coefficients and misfit of blocks whose channels are numbered otherwise."""
     pattern = np.zeros((len(data[0]) - 1, channels, 2))
     coefficient, rms = _fit(data, pattern)
     for _ in range(LEARNING_ROUNDS):
-        learn_pattern(*data, coefficient, pattern)
+        learn_pattern(data, coefficient, pattern)
         scale = np.nanmax(np.abs(pattern), axis=(1, 2), initial=0.0, keepdims=True)
         pattern /= np.where(scale > 0, scale, 1.0)
         coefficient, rms = _fit(data, pattern)
     return pattern, coefficient, rms
 
 
-def _only(
-    data: Rows,
-    blocks: NDArray[np.intp],
-) -> Rows:
+def _only(data: Rows, blocks: NDArray[np.intp]) -> Rows:
     """Rows of some blocks."""
     start, tau, channel, place = data
     rows = np.concatenate([np.arange(start[b], start[b + 1]) for b in blocks])
