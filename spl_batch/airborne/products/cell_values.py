@@ -8,6 +8,7 @@ comparison is exact and the order of points does not matter.
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.constants import NODATA
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds
 from spl_batch.numerics.compiled import njit
@@ -208,6 +209,11 @@ def by_cell(
     order, start = sort_into_cells(cell_number(table, bounds, size), table["z"], rows * cols)
     x, y = (table["x"].take(order) - bounds.xmin, table["y"].take(order) - bounds.ymin)
     return (x.astype(np.int32), y.astype(np.int32), table["z"].take(order)), start, order
+
+
+def north_up(values: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Raster cells from the south as they are delivered: row 0 northernmost, nodata for NaN."""
+    return np.ascontiguousarray(np.where(np.isnan(values), NODATA, values)[::-1], np.float32)
 
 
 def owned(core: Bounds, edge: int) -> Bounds:

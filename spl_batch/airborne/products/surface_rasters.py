@@ -44,6 +44,7 @@ from spl_batch.airborne.ground.water.level import REACH_M, flattened, in_water, 
 from spl_batch.airborne.products.cell_values import (
     by_cell,
     cell_number,
+    north_up,
     robust_cell_means,
     shape_of,
 )
@@ -58,7 +59,7 @@ from spl_batch.airborne.products.top_surface import (
     top_surface,
 )
 from spl_batch.airborne.settings import ProductSettings
-from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL, QUANTUM_M
+from spl_batch.constants import NOISE_NOT_ASSESSED, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
 from spl_batch.lattice.tiles import Bounds, grow, inside, quanta, shared
 from spl_batch.numerics.nearest_heights import nearest_heights
@@ -161,7 +162,7 @@ class _Surfaces:
         rasters |= _counts(signal, cell, size)
         over = self._flown(ground[0]) | (rasters["density"] > 0)
         rasters["density"] = np.where(over, rasters["density"], np.nan)
-        return {name: _delivered(values) for name, values in rasters.items()}
+        return {name: north_up(values) for name, values in rasters.items()}
 
     def _flown(self, means: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Raster cells of the ground cell that were flown."""
@@ -241,12 +242,6 @@ class _Surfaces:
             if bare and self._has_signal(grow(Bounds(x, y, x + 1, y + 1), near)):
                 found.append([*corner, vertices[(off**2).sum(axis=1).argmin(), 2]])
         return np.array(found, dtype=np.float64).reshape(-1, 3)
-
-
-def _delivered(values: NDArray[np.float64]) -> NDArray[np.float32]:
-    """North up, nodata for NaN."""
-    north_up = np.where(np.isnan(values), NODATA, values)[::-1]
-    return np.ascontiguousarray(north_up, dtype=np.float32)
 
 
 def _signal(

@@ -113,7 +113,6 @@ def match_points(
     rows: NDArray[np.intp],
     cells: tuple[int, int, int, int],
     blocks: Blocks,
-    longest_s: float,
     number: NDArray[np.int64],
     top: NDArray[np.int64],
 ) -> None:
@@ -128,6 +127,7 @@ def match_points(
     highest, channels = top.reshape(-1), top.shape[1]
     west, south, size, cols = cells
     fires = ~np.isnan(blocks.pattern[:, :, 0])
+    longest_s = ((blocks.last - blocks.first + 1) / blocks.prf_hz).max()
     # Points lie by place and beamlets by time, each far from the last in memory: many are asked
     # for at once.
     where, words, held = np.empty(AT_ONCE, np.int64), np.empty(AT_ONCE, np.int64), 0
@@ -179,6 +179,9 @@ STEP_CELLS = 0.5
 
 MAX_STEPS = 400
 """Longest walk of a ray [count]."""
+
+FIXED_POINT = 2.0**32
+"""Steps of a sum per photo-electron and reflectance."""
 
 COSINE_MIN = 0.2
 """Incidence is not corrected for beyond this [1]."""
@@ -278,7 +281,6 @@ def expose_cells(
     core: tuple[int, int, int, int],
     level: float,
     extinction: float,
-    fixed: float,
     silent: NDArray[np.int64],
     fired: NDArray[np.int64],
     seen_cell: NDArray[np.int64],
@@ -288,10 +290,9 @@ def expose_cells(
 
     ``shots``: block of each, and its time within that; ``top``: from :func:`match_points`;
     ``core``: first and past-the-last row, first and past-the-last column of the cells wanted, which
-    the outputs have; ``level``: a height near the surface [m]; ``fixed``: steps of ``silent`` per
-    photo-electron and reflectance. Added to: ``silent``, sum over silent beamlets, and ``fired``,
-    beamlets of each cell. Filled: cell and photo-electrons per reflectance of each seen beamlet,
-    whose number is returned.
+    the outputs have; ``level``: a height near the surface [m]. Added to: ``silent``, sum over
+    silent beamlets in steps of :data:`FIXED_POINT`, and ``fired``, beamlets of each cell. Filled:
+    cell and photo-electrons per reflectance of each seen beamlet, whose number is returned.
     """
     aim, ends = np.empty(9), np.empty(top.shape[1], np.int64)
     r0, r1, c0, c1 = core
@@ -326,5 +327,5 @@ def expose_cells(
                 seen_amount[count] = amount
                 count += 1
             else:
-                silent[row - r0, col - c0] += np.int64(np.rint(amount * fixed))
+                silent[row - r0, col - c0] += np.int64(np.rint(amount * FIXED_POINT))
     return count

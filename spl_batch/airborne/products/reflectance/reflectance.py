@@ -41,10 +41,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from spl_batch.airborne.products.cell_values import fill_voids, ring_offsets, sort_into_cells
+from spl_batch.airborne.products.cell_values import (
+    fill_voids,
+    north_up,
+    ring_offsets,
+    shape_of,
+    sort_into_cells,
+)
 from spl_batch.airborne.products.reflectance.beamlet_matching import (
     CELL_BITS,
     COARSE,
+    FIXED_POINT,
     SILENT,
     Blocks,
     Grid,
@@ -64,9 +71,6 @@ COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "line", "noise_cl
 
 FIRED_MIN: Final = 5
 """Cells that fewer beamlets were fired at hold nothing [count]."""
-
-FIXED_POINT: Final = 2.0**32
-"""Steps of a sum per photo-electron and reflectance."""
 
 ALIKE_CELLS: Final = 2.0
 """Neighbouring cells no farther apart in height than this are of one surface [cells]."""
@@ -95,18 +99,17 @@ def raster(
     size = quanta(settings.cell_m)
     margin = _margin_cells(settings)
     wide = grow(cell, margin * size)
-    shape = (cell.ymax - cell.ymin) // size, (cell.xmax - cell.xmin) // size
+    shape, cells = shape_of(cell, size), shape_of(wide, size)
     fired, silent = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
     parts = [p for p in parts if len(p.blocks)]
-    signal = _signal(table, wide)
+    signal = table["noise_class"] == NOISE_SIGNAL
+    signal = np.flatnonzero(signal & inside(table["x"], table["y"], wide))
     z = table["z"][signal]
     if not len(z) or not parts:
         return np.full(shape, NODATA, np.float32)
     blocks = _join(parts, wide)
-    level, depth = (
-        float(np.median(z)) * QUANTUM_M,
-        float((z.max() * QUANTUM_M) - (z.min() * QUANTUM_M)),
-    )
+    level = float(np.median(z)) * QUANTUM_M
+    depth = float((z.max() * QUANTUM_M) - (z.min() * QUANTUM_M))
     shots = int(blocks.offset[-1] + blocks.last[-1] - blocks.first[-1] + 1)
     number, block = np.empty(shots, np.int64), np.empty(shots, np.int64)
     tau = np.empty(shots)
@@ -114,11 +117,9 @@ def raster(
     near = shots_near(blocks, level, depth, tuple(edges.tolist()), number, block, tau)
     del z
     top = np.full((near, blocks.pattern.shape[1]), SILENT)
-    longest = float(np.max((blocks.last - blocks.first + 1) / blocks.prf_hz))
-    cells = shape[0] + 2 * margin, shape[1] + 2 * margin
     match_points(
         table["gps_time"], table["channel"], table["line"], (table["x"], table["y"], table["z"]),
-        signal, (wide.xmin, wide.ymin, size, cells[1]), blocks, longest, number, top,
+        signal, (wide.xmin, wide.ymin, size, cells[1]), blocks, number, top,
     )  # fmt: skip
     first = top[top != SILENT]
     height = (first >> 32).astype(np.int32)
@@ -129,19 +130,11 @@ def raster(
     inner = (margin, margin + shape[0], margin, margin + shape[1])
     count = expose_cells(
         (block[:near], tau[:near]), blocks, top, grid, inner,
-        level, settings.extinction_per_m, FIXED_POINT, silent,
+        level, settings.extinction_per_m, silent,
         fired, seen_cell, amount,
     )  # fmt: skip
     del top, blocks, number, block, tau
-    values = _estimate(seen_cell[:count], amount[:count], silent, fired)[::-1]
-    return np.ascontiguousarray(np.where(np.isnan(values), NODATA, values), dtype=np.float32)
-
-
-def _signal(table: PointTable, region: Bounds) -> NDArray[np.intp]:
-    """Rows of a table that are signal of a region."""
-    return np.flatnonzero(
-        (table["noise_class"] == NOISE_SIGNAL) & inside(table["x"], table["y"], region)
-    )
+    return north_up(_estimate(seen_cell[:count], amount[:count], silent, fired))
 
 
 def _estimate(
