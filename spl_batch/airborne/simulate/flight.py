@@ -25,9 +25,6 @@ from spl_batch.numerics.attitude import rotations
 CHUNK_S = 0.25
 """Flight time that is simulated at once, on an absolute grid [s]; it bounds the memory."""
 
-PROBED = 16
-"""Of so many shots the first tells whether they can be near the scene."""
-
 GATE_S = 1.0
 """Flight time over which the range gate stands still, on an absolute grid [s]."""
 
@@ -179,45 +176,12 @@ def _chunks(run: Pass, arrays: SceneArrays) -> Iterator[Chunk]:
         shot = np.arange(
             math.ceil(index * CHUNK_S * prf), math.ceil((index + 1) * CHUNK_S * prf), dtype=np.int64
         )
-        shot = _not_far(run, shot, arrays, reach)
-        outside, range_m = _outside(run, shot, arrays)
+        ground, range_m = ground_points(run, shot, arrays)
+        # how far it is off the extent, negative within [m]
+        outside = np.maximum(-ground[:, :2], ground[:, :2] - run.scene.extent_m).max(axis=1)
         near = outside <= reach
         if near.any():
             yield Chunk(index, shot[near], range_m[near], outside[near] <= 0)
-
-
-def _not_far(
-    run: Pass, shot: NDArray[np.int64], arrays: SceneArrays, reach_m: float
-) -> NDArray[np.int64]:
-    """Shots without those that are too far from the scene by one in :data:`PROBED`.
-
-    Most shots of a pass over a small scene are far off: their places are not worth finding.
-    """
-    outside, _ = _outside(run, shot[::PROBED], arrays)
-    near = outside <= reach_m + _strayed_m(run, arrays, PROBED)
-    return shot[np.repeat(near, PROBED)[: len(shot)]]
-
-
-def _strayed_m(run: Pass, arrays: SceneArrays, shots: int) -> float:
-    """No less than what lies on the ground between two shots, so many apart [m]."""
-    scene = run.scene
-    low, high = float(arrays.ground.z.min()), float(arrays.ground.z.max())
-    above = run.flight.altitude_agl_m + abs(scene.origin_m[2] - low) + 1.0
-    swing = math.radians(scene.acquisition.wobble_deg)
-    cone = math.radians(scene.instrument.half_cone_deg)
-    turned = 2 * math.pi * scene.instrument.scan_rate_hz * math.sin(cone) + 5.0 * swing  # [rad/s]
-    off_nadir = cone + 2 * swing
-    swept = above / math.cos(off_nadir) ** 2 * turned + run.flight.speed_m_s + 1.0  # [m/s]
-    return shots * swept / scene.acquisition.prf_hz + (high - low) * math.tan(off_nadir)
-
-
-def _outside(
-    run: Pass, shot: NDArray[np.int64], arrays: SceneArrays
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """How far shots are off the extent, negative within it, and their slant ranges [m]."""
-    ground, range_m = ground_points(run, shot, arrays)
-    outside = np.maximum(-ground[:, :2], ground[:, :2] - run.scene.extent_m).max(axis=1)
-    return outside, range_m
 
 
 def ground_points(
