@@ -34,19 +34,37 @@ RATES_POINTS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
         "index": 1.8e6,
         "shots": 2.0e6,
         "shuffle": 0.95e6,
-        "denoise": 0.32e6,
-        "ground": 0.9e6,
-        "surfaces": 0.75e6,
+        "denoise": 0.45e6,
+        "ground": 1.5e6,
+        "surfaces": 1.05e6,
         "deliver": 2.9e6,
-        "report": 0.5e6,
+        "report": 0.28e6,
     }
 )
 """Points per second and worker until a store has measured its own, those of ``report`` of the
 reference, those of ``denoise`` of cells and of margins as :data:`~.grid.MARGIN_COST` has them:
-``python -m benchmarks.end_to_end FOLDER --side-m 450``, and a little less."""
+``python -m benchmarks.plan_cost FOLDER``, by the logs of its runs on an idle machine."""
 
-TASK_S: Final = 0.02
-"""What a task takes however few points it has: files to open and to put in place [s]."""
+TASK_S: Final[Mapping[str, float]] = MappingProxyType(
+    {
+        "index": 0.01,
+        "shots": 0.005,
+        "shuffle": 0.015,
+        "denoise": 1.5,
+        "ground": 0.4,
+        "surfaces": 0.35,
+        "deliver": 0.03,
+        "report": 0.02,
+    }
+)
+"""What a task takes however few points it has [s]: files to open and to put in place, and air and
+raster cells to look through. From the same runs; the sparse one of them has little else."""
+
+COPC_POINTS_PER_S: Final = 0.28e6
+"""Points per second that become an octree."""
+
+ALONE_S: Final = 5.0
+"""Wall time in which nobody works beside: workers start, and the report's page is written [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,11 +120,14 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
         "deliver": delivered + _rasters_and_comparisons(survey, cells),
         "report": sum(map(len, survey.inputs.reference)) + reference_tasks.squares(survey),
     }
-    # What a store has measured has the time of its tasks in it.
+    # What a store has measured has the time of its tasks in it, and of its octrees.
     alone = {
-        stage: TASK_S * tasks[stage] * (RATES_POINTS_PER_S[stage] == rates[stage])
+        stage: TASK_S[stage] * tasks[stage] * (RATES_POINTS_PER_S[stage] == rates[stage])
         for stage in rates
     }
+    if RATES_POINTS_PER_S["deliver"] == rates["deliver"]:
+        alone["deliver"] += workflow.outputs.copc * points / COPC_POINTS_PER_S
+    alone["report"] += ALONE_S * survey.workers
     return SurveyCost(
         points=points,
         stretches=stretches,
