@@ -18,6 +18,7 @@ from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart, ai
 from spl_batch.airborne.products.reflectance.reflectance import (
     bounds,
     credible_heights,
+    first_surface,
     most_likely,
     raster,
     reach_m,
@@ -313,6 +314,20 @@ def test_rays_end_where_a_slow_walk_ends() -> None:
     # half a cell is stepped at once: some rays end in the next cell, a few beside a corner
     assert near >= 396
     assert same >= 280
+
+
+def test_bounds_are_those_of_a_loop_over_squares_and_their_neighbours() -> None:
+    rng = np.random.default_rng(6)
+    shape = 37, 50
+    cell = rng.choice(37 * 50, 500, replace=False)
+    z = rng.integers(0, 2000, 500).astype(np.int32)
+    grid = first_surface(cell, z, shape, PRODUCTS.model_copy(update={"dsm_void_max_m": 1.0}))
+    assert grid.low.shape == grid.high.shape == (5, 7)
+    for row, col in np.ndindex(5, 7):
+        around = grid.height[max(8 * row - 8, 0) : 8 * row + 16, max(8 * col - 8, 0) : 8 * col + 16]
+        assert grid.low[row, col] == np.nanmin(around)
+        assert grid.high[row, col] == np.nanmax(around)
+    assert np.isnan(bounds(np.full((9, 9), np.nan))).all()
 
 
 def test_noise_in_the_air_is_no_surface() -> None:
