@@ -69,14 +69,10 @@ def _short_id(name: str, href: str) -> str:
 
 def write_stac(output: Path, delivery: Delivery) -> list[Path]:
     """Write ``stac/collection.json``, ``stac/items.json``, the items and ``survey.vpc``."""
-    made = [*delivery.clouds, *delivery.reprojected, *delivery.rasters]
-    ids = _item_ids([one.href for one in made])
-    items = [
-        _cloud_item(ids[one.href], one, delivery)
-        if isinstance(one, Cloud)
-        else _raster_item(ids[one.href], one, delivery)
-        for one in made
-    ]
+    clouds = [*delivery.clouds, *delivery.reprojected]
+    ids = _item_ids([one.href for one in clouds] + [one.href for one in delivery.rasters])
+    items = [_cloud_item(ids[one.href], one, delivery) for one in clouds]
+    items += [_raster_item(ids[one.href], one, delivery) for one in delivery.rasters]
     folder = output / STAC
     written = {folder / f"{item['id']}.json": _text(item) for item in items}
     features = ",\n".join(written.values())

@@ -105,11 +105,12 @@ def find_patches(
     x, y, z = (table[axis].astype(np.int64) - low for axis, low in zip("xyz", corner, strict=True))
     moments = moments_of((x, y, z), place[table["line"]], (count, rows, columns))
     pairs = list(combinations(range(count), 2))
-    free = np.ones((len(pairs), rows, columns), np.bool_)
+    free: NDArray[np.bool_] = np.ones((len(pairs), rows, columns), np.bool_)
     for level in range(LEVELS):
         size = EDGE_M * 2**level
         if level:
-            moments, free = in_fours(moments).sum(axis=(2, 4)), in_fours(free).all(axis=(2, 4))
+            moments = in_fours(moments).sum(axis=(2, 4))
+            free = np.asarray(in_fours(free).all(axis=(2, 4)))
         for k, pair in enumerate(pairs):
             planar, fitted = _fitted(moments[pair[0]], moments[pair[1]], size)
             found.append(_rows(fitted, planar & free[k], pair, whole, size))

@@ -191,7 +191,8 @@ def _off_ring(places: Grid, integrals: Grid, reach: int, ring: int, planes: Grid
     _fit_planes(integrals, ~np.isnan(z), reach, (2 * ring, ring - 1), _ENOUGH, planes)
     middle_x, middle_y, middle_z, east, north = planes
     above = east * (x - middle_x) + north * (y - middle_y)
-    return np.abs(z - (middle_z + above))
+    off: Grid = np.abs(z - (middle_z + above))
+    return off
 
 
 def _moments(places: Grid, reach: int) -> Grid:
