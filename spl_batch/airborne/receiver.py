@@ -222,6 +222,7 @@ def _check_cells(workflow: Workflow, path: Path) -> None:
     }
     faults = [
         f"{key}: {edge:g} is not a whole number of millimetres"
+        + "; outputs.cell gives rasters of whole feet" * (key == "products.cell_m")
         for key, edge in edges.items()
         if quanta(edge) < 1 or abs(edge * QUANTA_PER_M - quanta(edge)) > 1e-6
     ]

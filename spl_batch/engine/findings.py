@@ -55,7 +55,8 @@ class Code:
 
     title: str
     #: By ``kind``, in which ``{name}`` is a value: ``{count:points|have}`` counts, others are
-    #: formatted as by :func:`format` (:mod:`spl_batch.engine.report.reported`).
+    #: formatted as by :func:`format`, and ``{low_m:length}`` and ``{error_m:height}`` are metres in
+    #: the unit of delivery (:mod:`spl_batch.engine.report.reported`).
     sentences: Mapping[str, str] | str
     consequence: str = ""
     remedy: str = ""

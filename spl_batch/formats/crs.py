@@ -13,11 +13,14 @@ from pyproj.exceptions import CRSError, ProjError
 from pyproj.transformer import TransformerGroup
 
 from spl_batch.errors import WorkflowError, named
-from spl_batch.formats.units import Units, metres_in
+from spl_batch.formats.units import FOOT, METRE, US_FOOT, Units, metres_in
 
 WKT_KEY: Final = ("LASF_Projection", 2112)
 NAMELESS: Final = ("", "unknown", "unnamed")
 """Names that GDAL gives to a vertical CRS of which keys have the unit only."""
+
+_SHORT: Final = {METRE: "m", FOOT: "ft", US_FOOT: "ftUS"}
+"""Units as EPSG's names of CRS have them."""
 
 DEGREES_ACROSS: Final = 5.0
 """Extent from which on coordinates that could be degrees are taken as metres."""
@@ -126,6 +129,35 @@ def compound(crs: CRS, heights: CRS) -> CRS:
     """The horizontal part of a CRS, with a vertical one."""
     flat = horizontal(crs)
     return CompoundCRS(f"{flat.name} + {heights.name}", [flat, heights])
+
+
+def in_unit(crs: CRS, name: str) -> CRS:
+    """A CRS with the same datum, projection and origin whose axes, heights too, are in a unit.
+
+    It is EPSG's where that has one, as EPSG:6587 beside EPSG:6588.
+
+    Parameters
+    ----------
+    crs : CRS
+        Projected, local, vertical, or a compound of such.
+    name : str
+        Unit of lengths by PROJ's name, which PROJ knows.
+    """
+    heights = vertical(crs)
+    if heights is not None:
+        return compound(in_unit(horizontal(crs), name), in_unit(heights, name))
+    content = crs.to_json_dict()
+    content.pop("id", None)
+    for axis in content["coordinate_system"]["axis"]:
+        axis["unit"] = {"type": "LinearUnit", "name": name, "conversion_factor": metres_in(name)}
+    if crs.name not in NAMELESS and not crs.is_engineering:
+        for short in _SHORT.values():
+            content["name"] = content["name"].removesuffix(f" ({short})")
+        content["name"] += "" if name == METRE else f" ({_SHORT.get(name, name)})"
+    made = CRS.from_json_dict(content)
+    twin = made.to_epsg()
+    known = made if twin is None else CRS.from_epsg(twin)
+    return known if known.equals(made, ignore_axis_order=True) else made
 
 
 def same_heights(a: CRS, b: CRS) -> bool:

@@ -14,8 +14,8 @@ from pyproj.exceptions import CRSError
 from rasterio.errors import RasterioError, RasterioIOError
 from rasterio.io import MemoryFile
 
-from spl_batch.formats.crs import NAMELESS, compound, horizontal, vertical
-from spl_batch.formats.units import METRE, US_FOOT, Units, metres_in
+from spl_batch.formats.crs import NAMELESS, compound, horizontal, in_unit, vertical
+from spl_batch.formats.units import METRE, Units, metres_in
 
 GEO_KEYS: Final = (
     ("LASF_Projection", 34735),
@@ -28,9 +28,6 @@ _VERTICAL_CRS_KEY: Final = 4096
 _VERTICAL_UNIT_KEY: Final = 4099
 _LINEAR_UNIT_KEY: Final = 3076
 """GeoTIFF keys of heights and of lengths [OGC 19-008r4, B.4]."""
-
-_SHORT: Final = {"foot": "ft", US_FOOT: "ftUS", METRE: "m"}
-"""Units as names of EPSG's vertical CRS have them."""
 
 _SOME_HEIGHTS: Final = CRS.from_wkt('VERT_CS["unknown",VERT_DATUM["unknown",2005],UNIT["metre",1]]')
 """What a unit of heights alone tells of."""
@@ -77,15 +74,8 @@ def _in_unit(crs: CRS, code: int | None) -> CRS:
     units = get_units_map(auth_name="EPSG", category="linear").items()
     name = next((name for name, unit in units if unit.code == str(code)), METRE)
     metres, own = metres_in(name) or 1.0, Units.of(crs)
-    if metres in {1.0, own.vertical_m if crs.is_vertical else own.horizontal_m}:
-        return crs
-    content = crs.to_json_dict()
-    content.pop("id", None)
-    if crs.is_vertical and crs.name not in NAMELESS:
-        content["name"] += f" ({_SHORT.get(name, name)})"
-    for axis in content["coordinate_system"]["axis"]:
-        axis["unit"] = {"type": "LinearUnit", "name": name, "conversion_factor": metres}
-    return CRS.from_json_dict(content)
+    known = metres in {1.0, own.vertical_m if crs.is_vertical else own.horizontal_m}
+    return crs if known else in_unit(crs, name)
 
 
 def _by_gdal(entries: NDArray[np.uint16], doubles: bytes, text: bytes) -> CRS | None:

@@ -114,6 +114,14 @@ def test_a_failure_is_tried_once_more(
     assert {name for name, _ in watcher.began} == {one.task.name for one in jobs(8)}
 
 
+def test_the_first_task_of_a_batch_is_told_whatever_the_clock_says(
+    threads: LocalCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(job, "time", SimpleNamespace(monotonic=lambda: 0.0))
+    _, watcher = flow_through(threads, [jobs(3)], monkeypatch, done)
+    assert [name for name, _ in watcher.began] == ["0_0"]
+
+
 def test_a_job_is_given_what_it_waits_for_as_a_value(
     threads: LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:

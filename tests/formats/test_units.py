@@ -10,7 +10,7 @@ from pyproj import CRS, Transformer
 
 from spl_batch.constants import FOOT_M, NODATA, QUANTUM_M
 from spl_batch.errors import WorkflowError
-from spl_batch.formats.crs import compound
+from spl_batch.formats.crs import compound, horizontal, in_unit, vertical
 from spl_batch.formats.geoid import Geoid
 from spl_batch.formats.las.reader import inspect, iter_points
 from spl_batch.formats.las.writer import write_points
@@ -18,7 +18,7 @@ from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.formats.rasters.parts import overview_frame, read_overview, read_part
 from spl_batch.formats.reprojection import Reprojection
 from spl_batch.formats.trajectory.positions import gathering
-from spl_batch.formats.units import METRES, US_FOOT, Units
+from spl_batch.formats.units import COMMON, METRES, NAMES, US_FOOT, Units
 from tests import surveys
 from tests.formats.test_geoid import write_grid
 
@@ -112,6 +112,70 @@ def test_a_geoid_below_a_survey_in_feet(tmp_path: Path) -> None:
     assert Units.of(mixed.crs_above("EPSG:5703")).vertical_m == 1.0
     with pytest.raises(WorkflowError, match="heights are in metre, eastings in US survey foot"):
         mixed.crs_above(None)
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "twin"),
+    [
+        ("EPSG:6588", "m", "EPSG:6587"),
+        ("EPSG:6587", "us-ft", "EPSG:6588"),
+        ("EPSG:2225+6360", "m", "EPSG:26941+5703"),
+        ("EPSG:26941+5703", "us-ft", "EPSG:2225+6360"),
+        ("EPSG:2991+5703", "ft", "EPSG:2992+8228"),
+        (MIXED, "us-ft", TEXAS),
+    ],
+)
+def test_a_crs_in_another_unit_is_epsgs_twin(text: str, unit: str, twin: str) -> None:
+    found, known = in_unit(CRS.from_user_input(text), NAMES[unit]), CRS.from_user_input(twin)
+    assert [part.to_epsg() for part in (horizontal(found), vertical(found)) if part] == [
+        part.to_epsg() for part in (horizontal(known), vertical(known)) if part
+    ]
+
+
+WITHOUT_TWIN = ["EPSG:32615", "EPSG:25832+5783", "EPSG:2193+7839", "EPSG:2992+8228", MIXED]
+
+
+@pytest.mark.parametrize("unit", NAMES)
+@pytest.mark.parametrize("text", WITHOUT_TWIN)
+def test_another_unit_is_an_exact_factor_that_every_file_states(
+    tmp_path: Path, text: str, unit: str
+) -> None:
+    survey = CRS.from_user_input(text)
+    there, own = Reprojection(survey, None, unit), Units.of(survey)
+    made = Units.of(there.crs)
+    assert made == Units(NAMES[unit], COMMON[NAMES[unit]], NAMES[unit], COMMON[NAMES[unit]])
+    assert there.moves_points == (made != own)
+    low, high = (1_600_000.0, 5_200_000.0, -50.0), (1_700_000.0, 5_300_000.0, 900.0)
+    places = np.random.default_rng(1).uniform(low, high, (100, 3))
+    factor = np.divide(own.xyz_m, made.xyz_m)
+    off = there.places(places) - places * factor
+    assert np.abs(off * made.xyz_m).max() < 2e-4  # false northings of twins differ by 0.1 mm
+    heights = np.array([[812.5]], np.float32)
+    write_cog(
+        tmp_path / "dtm", heights, shape=(1, 1), origin_xy_m=(4.0, 9.0), crs=there.crs.to_wkt(),
+        description="", unit="m",
+    )  # fmt: skip
+    with rasterio.open(tmp_path / "dtm") as source:
+        assert Units.of(CRS.from_wkt(source.crs.to_wkt())) == made
+        stated = made.vertical if made.vertical_m != 1.0 else "m"
+        assert source.units == (stated,)
+        assert source.read(1)[0, 0] == np.float32(812.5 / made.vertical_m)
+    part = read_part(tmp_path / "dtm", (4.1, 8.1, 4.2, 8.2))
+    assert part is not None
+    np.testing.assert_allclose(part.values, heights, rtol=1e-6)
+
+
+def test_another_unit_needs_a_crs() -> None:
+    with pytest.raises(WorkflowError, match=r"outputs\.units: the survey has no CRS"):
+        Reprojection(None, None, "us-ft")
+
+
+def test_a_named_crs_in_a_named_unit() -> None:
+    found = Reprojection(CRS.from_user_input(TEXAS), "EPSG:26915", "us-ft")
+    metres = Reprojection(CRS.from_user_input(TEXAS), "EPSG:26915+5703")
+    assert Units.of(found.crs) == Units.of(CRS.from_user_input(TEXAS))
+    place = np.array([[3_000_000.0, 13_000_000.0, 100.0]])
+    np.testing.assert_allclose(found.places(place) * US_M, metres.places(place), atol=1e-6)
 
 
 def test_clouds_and_rasters_in_another_crs(tmp_path: Path) -> None:

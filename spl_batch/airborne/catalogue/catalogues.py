@@ -127,7 +127,7 @@ def _layers(
     boxes = {cloud.href: shapely.box(*cloud.box) for cloud in clouds}
     lines = args["flightlines"]
     flown = [
-        _in_units(outlines.get(one["id"]), units)
+        in_units(outlines.get(one["id"]), units)
         or _together([boxes[href] for href in one["files"]])
         for one in lines
     ]
@@ -144,7 +144,7 @@ def _layers(
     )
 
 
-def _in_units(shape: shapely.MultiPolygon | None, units: Units) -> shapely.MultiPolygon | None:
+def in_units(shape: shapely.Geometry | None, units: Units) -> shapely.Geometry | None:
     """A shape in metres, in the units of the survey's CRS."""
     if shape is None or units.are_metres:
         return shape

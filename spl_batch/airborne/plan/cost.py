@@ -17,6 +17,7 @@ from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.tasks.index import parts_of
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.plan.budget import Cost, measured_rates
+from spl_batch.formats.units import Units
 from spl_batch.lattice import density
 from spl_batch.lattice.tiles import Bounds
 
@@ -95,7 +96,8 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     )
     stretches = sum(-(-s.facts.n_points // STRETCH_POINTS) for s in sources)
     files = [s.facts.n_points for s in sources]
-    held = needs(pieces, workflow, files, side, survey.inputs.trajectory)
+    units = Units.of(survey.inputs.crs)
+    held = needs(pieces, workflow, files, side, survey.inputs.trajectory, units)
     heaviest = max(held, key=lambda need: need.memory_bytes)
     rates, measured = measured_rates(RATES_POINTS_PER_S, context)
     compared = sum(facts.n_points for facts in survey.inputs.reference.usable)
@@ -156,10 +158,11 @@ def _box(source: Source) -> density.Box:
 
 
 def _copies(workflow: Workflow) -> int:
-    """How often each point is delivered: in its file, in tiles, in a COPC twin [count]."""
+    """How often each point is delivered: in its file, tiles, a COPC twin, another CRS [count]."""
     outputs = workflow.outputs
     tiles = (outputs.tiles != "none") + (outputs.client_tiles is not None)
-    return 1 + tiles + outputs.copc
+    elsewhere = outputs.crs is not None or outputs.units is not None
+    return 1 + tiles + outputs.copc + elsewhere
 
 
 def _rasters_and_comparisons(survey: Survey, cells: int) -> int:

@@ -40,7 +40,6 @@ from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.run_record import Receipts
 from spl_batch.formats.crs import vertical
 from spl_batch.formats.gps_clock import time_standard
-from spl_batch.formats.units import Units
 
 VEGETATION_PER_M2: Final = 1.0
 """Below this density shrubs become ground (``docs/delivery.md``) [1/m2]."""
@@ -78,7 +77,7 @@ def judged(done: Receipts, context: Context) -> tuple[Requirement, ...]:
         has_crs=crs is not None,
         vertical_datum=None if datum is None else datum.name,
         time_standard=_time_standard(flown),
-        units=Units.of(crs),
+        units=context.shown_units,
     )
     return requirements(known)
 
@@ -91,7 +90,7 @@ def checkpoint_report(done: Receipts, context: Context) -> Checkpoints | None:
         return None
     outliers = {*nva.outliers, *vva.outliers}
     return Checkpoints(
-        statement=statement(nva, vva, _class_m(context)),
+        statement=statement(nva, vva, _class_m(context), context.shown_units.of_heights),
         nva=nva,
         vva=vva,
         points=tuple(Checkpoint(**one, outlier=one["id"] in outliers) for one in found),
@@ -110,9 +109,9 @@ def checkpoint_findings(tested: Checkpoints | None, context: Context) -> Iterato
     if gross:
         worst = max(gross, key=lambda one: abs(one.error_m or 0.0))
         values = {
-            "kind": "blunder", "count": len(gross), "of": len(points), "limit_cm": 100 * limit_m,
+            "kind": "blunder", "count": len(gross), "of": len(points), "limit_m": limit_m,
             "names": [one.id for one in gross], "worst": worst.id,
-            "error_cm": 100 * (worst.error_m or 0.0),
+            "error_m": worst.error_m or 0.0,
         }  # fmt: skip
         yield Finding("C01", values)
 

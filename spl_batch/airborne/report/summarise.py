@@ -59,7 +59,6 @@ from spl_batch.engine.report.run_record import (
 )
 from spl_batch.formats.geoid import grid_file
 from spl_batch.formats.rasters.parts import RasterPart, read_overview
-from spl_batch.formats.units import Units
 
 
 def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
@@ -104,7 +103,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
                 *own_points(None if found is None else found.own_share),
             ),
             context.workflow.report.ignore,
-            units=Units.of(context.crs),
+            units=context.shown_units,
         ),
         provenance=_provenance(done, context, facts.reference),
     )
@@ -131,7 +130,7 @@ def _survey(done: Receipts, context: Context) -> Survey:
         name=workflow.survey.name,
         crs=":".join(authority) if authority else (crs.name if crs is not None else None),
         crs_name=crs.name if crs is not None else None,
-        units=DeliveredUnits(**asdict(Units.of(crs))),
+        units=DeliveredUnits(**asdict(context.shown_units)),
         sensor=workflow.sensor.name if workflow.filtering else None,
         area_km2=area_km2(done, context),
         extent_m=(low[0], high[0], low[1], high[1]),

@@ -28,7 +28,6 @@ from spl_batch.engine.tasks.runner import LIBRARIES, build_version, library_vers
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.errors import StoreError
 from spl_batch.formats.files.atomic import checksum
-from spl_batch.formats.units import Units
 from spl_batch.imports import content_hash, imported, module_file
 from spl_batch.receivers import HOMES
 
@@ -143,7 +142,7 @@ def common_parts(
         "performance": performance(facts, points),
         "failures": facts.failures,
         "findings": reported(
-            facts.findings, context.workflow.report.ignore, units=Units.of(context.crs)
+            facts.findings, context.workflow.report.ignore, units=context.shown_units
         ),
         "provenance": provenance(context, inputs),
     }

@@ -10,6 +10,7 @@ from pyproj import CRS
 from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.store.working_store import Store
 from spl_batch.formats.files.atomic import real_path
+from spl_batch.formats.units import Units
 
 W = TypeVar("W", bound=BaseWorkflow)
 
@@ -33,6 +34,11 @@ class RunContext(Generic[W]):
     def crs(self) -> CRS | None:
         """CRS of the processed data; None without one."""
         return CRS.from_wkt(self.crs_wkt) if self.crs_wkt else None
+
+    @property
+    def shown_units(self) -> Units:
+        """Units in which report and screen give places and heights."""
+        return Units.of(self.crs)
 
     def resolve(self, name: str) -> Path:
         """Path of the workflow, seen from its folder."""

@@ -15,7 +15,6 @@ from spl_batch.engine.verbs.preparing import prepare
 from spl_batch.engine.verbs.receiver import Prepared
 from spl_batch.errors import refuse_without, storage, told_together
 from spl_batch.formats.files.atomic import names_in
-from spl_batch.formats.units import Units
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +76,7 @@ def plan(
         *gone_inputs(prepared, deliveries),
         *_too_full(prepared.context.output, 0 if finished or store.url else cost.disk_bytes),
     )
-    units, ignored = Units.of(prepared.context.crs), prepared.context.workflow.report.ignore
+    units, ignored = prepared.context.shown_units, prepared.context.workflow.report.ignore
     return PlanSummary(
         len(inputs.sources) - look.unreadable,
         cost.points - look.unreadable_points,

@@ -41,7 +41,6 @@ from spl_batch.engine.watch.events import (
 )
 from spl_batch.errors import DamagedError, counted, named
 from spl_batch.formats.files.atomic import sweep
-from spl_batch.formats.units import Units
 
 LOG_WORKERS_S: Final = 10.0
 """How often the log has how the workers are [s]."""
@@ -100,7 +99,7 @@ class Progress:
         ignored = self.prepared.context.workflow.report.ignore
         new = settled(findings, ignored, self.findings)
         self.findings += new
-        units = Units.of(self.prepared.context.crs)
+        units = self.prepared.context.shown_units
         for one in reported(new, notes=True, units=units):
             self.note(one.text, "info" if one.severity == "note" else one.severity)
 

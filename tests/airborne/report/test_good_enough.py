@@ -1,4 +1,4 @@
-"""What receipts say of flightlines, checkpoints and density, added up by hand."""
+"""Findings of the page "Is it good enough?", and what they rest on, added up by hand."""
 
 import math
 from types import SimpleNamespace
@@ -13,7 +13,12 @@ from spl_batch.airborne.report.good_enough import (
     checkpoint_findings,
     sparse_vegetation,
 )
-from spl_batch.airborne.report.model import Checkpoint, Checkpoints, CheckpointStatistics, Density
+from spl_batch.airborne.report.model import (
+    Checkpoint,
+    Checkpoints,
+    CheckpointStatistics,
+    Density,
+)
 from spl_batch.airborne.settings import ClassSettings
 from spl_batch.airborne.settings.requirements import RequirementSettings
 
@@ -75,7 +80,7 @@ def test_a_checkpoint_with_a_blunder_is_warned_of(error_m: float, *, warned: boo
     said = list(checkpoint_findings(tested, context))
     assert len(said) == warned
     assert all(one.values["worst"] == "p17" for one in said)
-    assert all(one.values["error_cm"] == pytest.approx(100 * error_m) for one in said)
+    assert all(one.values["error_m"] == pytest.approx(error_m) for one in said)
     assert not list(checkpoint_findings(None, context))
 
 

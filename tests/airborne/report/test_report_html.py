@@ -144,17 +144,13 @@ class TestPage:
         assert "script" not in parsed.tags
         assert evil in parsed.text
 
-    def test_no_value_shows_as_nan_or_none(self, page: str) -> None:
+    def test_a_page_even_of_nothing_shows_no_value_as_nan_or_none(self, page: str) -> None:
         for content in (page, render(smallest_report(), {})):
-            words = set(re.findall(r"[A-Za-z]+", Page(content).text))
+            parsed = Page(content)
+            assert parsed.open == []
+            words = set(re.findall(r"[A-Za-z]+", parsed.text))
             assert not {"nan", "NaN", "inf", "None", "Undefined"} & words
-
-    def test_a_report_of_nothing_is_still_a_page(self) -> None:
-        parsed = Page(render(smallest_report(), {}))
-        assert parsed.open == []
         assert "No points were read." in parsed.text
-        assert "Failures: none. Warnings: none." in parsed.text
-        assert "No reference was given." in parsed.text
 
     def test_long_tables_are_cut_and_say_so(self) -> None:
         many = [Finding("I06", {"what": f"warning number {n}"}) for n in range(350)]

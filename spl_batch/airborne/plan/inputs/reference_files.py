@@ -121,7 +121,7 @@ def looked_into(
     boxes = [(facts.mins_m, facts.maxs_m) for facts in files if facts.n_points]
     within = [any(_inside(point, *box) for box in boxes) for point in known]
     if known and not any(within):
-        told.append(_elsewhere(known, boxes))
+        told.append(_elsewhere(known, boxes, Units.of(crs)))
     return [Finding("C01", {"kind": "file", "what": text}, file.name) for text in told]
 
 
@@ -130,11 +130,13 @@ def _inside(point: Checkpoint, low_m: Sequence[float], high_m: Sequence[float]) 
 
 
 def _elsewhere(
-    points: Sequence[Checkpoint], boxes: Sequence[tuple[Sequence[float], Sequence[float]]]
+    points: Sequence[Checkpoint],
+    boxes: Sequence[tuple[Sequence[float], Sequence[float]]],
+    units: Units,
 ) -> str:
     """Where all checkpoints lie and where the survey does: a wrong CRS shows at once."""
-    mine = extent([(point.x_m, point.y_m) for point in points])
-    survey = extent([corner[:2] for box in boxes for corner in box])
+    mine = extent([(point.x_m, point.y_m) for point in points], units)
+    survey = extent([corner[:2] for box in boxes for corner in box], units)
     return (
         f"none of {len(points)} checkpoints lies within the survey: they lie within {mine}, "
         f"its points within {survey}; name their CRS in reference.checkpoints_crs if it is another"

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
+from spl_batch.airborne.context import reprojection
 from spl_batch.airborne.plan.inputs.file_positions import usable, without_degrees
+from spl_batch.airborne.settings import OutputSettings
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.findings import Finding
 from spl_batch.errors import InputError, WorkflowError
@@ -28,7 +30,6 @@ from spl_batch.formats.crs import (
 )
 from spl_batch.formats.las.header import WAVEFORM_FORMATS
 from spl_batch.formats.las.reader import LasFacts
-from spl_batch.formats.reprojection import Reprojection
 from spl_batch.formats.units import Units
 
 AREAS_APART: Final = 0.01
@@ -68,13 +69,17 @@ def survey_crs(
     return horizontal(given), good, bad + elsewhere + stretched
 
 
-def check_reprojection(named: str, crs: CRS | None, files: Sequence[LasFacts]) -> None:
+def check_reprojection(outputs: OutputSettings, crs: CRS | None, files: Sequence[LasFacts]) -> None:
     """Refuse a CRS for outputs that the survey's corners, or waveforms, cannot be brought to."""
+    moved = reprojection(outputs, crs)
+    if moved is None:
+        return
     ends = [end for facts in files if facts.n_points for end in (facts.mins_m, facts.maxs_m)]
-    Reprojection(crs, named).check(np.array(ends) / Units.of(crs).xyz_m)
-    if waves := [facts for facts in files if facts.point_format in WAVEFORM_FORMATS]:
+    moved.check(np.array(ends) / Units.of(crs).xyz_m)
+    waves = [facts for facts in files if facts.point_format in WAVEFORM_FORMATS]
+    if waves and moved.moves_points:
         raise WorkflowError(
-            f"outputs.crs: {waves[0].path}: directions of waveforms are not converted; leave it out"
+            f"{moved.key}: {waves[0].path}: directions of waveforms are not converted; leave it out"
         )
 
 

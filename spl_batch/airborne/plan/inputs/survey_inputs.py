@@ -145,8 +145,8 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     if workflow.outputs.geoid is not None and good:
         geoid = workflow.outputs.geoid
         Geoid(geoid.grid, base / geoid.grid, crs).crs_above(geoid.crs)
-    if workflow.outputs.crs is not None and good:
-        check_reprojection(workflow.outputs.crs, crs, good)
+    if good:
+        check_reprojection(workflow.outputs, crs, good)
     _refuse_no_copc(workflow, good, base)
     untimed = _without_time(workflow, good, base)
     warnings = [*(Finding("I06", {"what": text}) for text in workflow.remarks()), *apart, *untimed]
@@ -213,7 +213,7 @@ def _check_shapes(
                     if key == "breaklines"
                     else check_polygons(base / name, crs)
                 )
-            apart = beside(shapes, survey)
+            apart = beside(shapes, survey, Units.of(crs))
             if apart and key == "aoi":
                 faults.append(f"{key}: {base / name}: {ASTRAY.format(**apart)}")
             elif apart:
