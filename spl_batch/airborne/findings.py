@@ -101,7 +101,7 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "vertical": "no vertical CRS in the file; its heights are taken as {crs}, as of "
                 "others",
                 "unit": "nothing states the unit of heights; they are taken in {unit}, as "
-                "eastings are",
+                "eastings are (survey.vertical_crs: {codes})",
             },
             "rasters and clouds name none, or that one, or that of others",
             "write `crs: EPSG:...` or `vertical_crs: EPSG:...` under survey",
@@ -310,7 +310,7 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "at the terrain there",
                 "feet": "the heights of {count} checkpoints are {ratio:.3f} times those of the "
                 "terrain, as where one is in feet and the other in metres: name the CRS of their "
-                "heights, reference.checkpoints_crs: EPSG:...+5703",
+                "heights, reference.checkpoints_crs: EPSG:...+5703 ({codes})",
             },
             noun="file",
         ),

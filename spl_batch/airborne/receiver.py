@@ -53,6 +53,7 @@ from spl_batch.engine.verbs.receiver import FirstLook, Limits, Place, Prepared, 
 from spl_batch.errors import WorkflowError, grouped, told_together
 from spl_batch.formats.las.header import waveform_file
 from spl_batch.formats.las.reader import promised_points
+from spl_batch.formats.units import Units, in_words
 from spl_batch.lattice.tiles import quanta
 
 
@@ -109,11 +110,17 @@ class Imaging(Receiver[Survey, Context]):
             ("ground cells", grouped(cost.cells)),
             ("margin", halo),
         ]
-        if not prepared.ledger.inputs.trajectory:
+        inputs, units = prepared.ledger.inputs, Units.of(prepared.ledger.inputs.crs)
+        if settings.filtering and not inputs.trajectory:
             beams = "from where lines of sight meet, by scan_angle, or vertical"
             rows.append(("trajectory", f"none: beams are taken {beams}"))
-        if settings.survey.channel_dimension is None and settings.sensor.beamlets > 1:
+        numbered = settings.survey.channel_dimension is not None or settings.sensor.beamlets == 1
+        if settings.filtering and not numbered:
             rows.append(("beamlets", "survey.channel_dimension is not set: a shot is one beamlet"))
+        if inputs.checkpoints is not None and not units.are_metres:
+            unit = in_words(units.vertical)
+            taken = f"heights in {unit}, as the survey's, unless their CRS states another unit"
+            rows.append(("checkpoints", f"{inputs.checkpoints.name}: {taken}"))
         if settings.survey.align == "vertical":
             rows.append(("alignment", "survey.align: vertical: heights of flightlines are shifted"))
         return rows

@@ -47,11 +47,11 @@ def crs_from_geotiff(directory: bytes, doubles: bytes, text: bytes) -> CRS | Non
     if found is None:
         return None
     flat, code = horizontal(found), keys.get(_VERTICAL_CRS_KEY, 0)
+    unit = keys.get(_VERTICAL_UNIT_KEY)
     if flat.is_engineering:
         flat = _in_unit(flat, keys.get(_LINEAR_UNIT_KEY))
     if 5000 < code < 5034:  # heights above an ellipsoid, by a code of GeoTIFF 1.0, 6.3.4.1
-        return flat.to_3d()
-    unit = keys.get(_VERTICAL_UNIT_KEY)
+        return _in_unit(flat.to_3d(), unit)
     heights = vertical(found) or _vertical_crs(code) or (_SOME_HEIGHTS if unit else None)
     if heights is None:
         return flat
@@ -70,12 +70,23 @@ def _vertical_crs(code: int) -> CRS | None:
 
 
 def _in_unit(crs: CRS, code: int | None) -> CRS:
-    """A local or vertical CRS in a unit by its code; metres, GDAL's default, are none to be set."""
+    """A local or vertical CRS, or heights of a 3D one, in a unit by its code.
+
+    Metres, GDAL's default, are none to be set.
+    """
     units = get_units_map(auth_name="EPSG", category="linear").items()
     name = next((name for name, unit in units if unit.code == str(code)), METRE)
     metres, own = metres_in(name) or 1.0, Units.of(crs)
-    known = metres in {1.0, own.vertical_m if crs.is_vertical else own.horizontal_m}
-    return crs if known else in_unit(crs, name)
+    deep = len(crs.axis_info) > 2
+    if metres in {1.0, own.vertical_m if deep or crs.is_vertical else own.horizontal_m}:
+        return crs
+    if not deep:
+        return in_unit(crs, name)
+    content = crs.to_json_dict()
+    content.pop("id", None)
+    unit = {"type": "LinearUnit", "name": name, "conversion_factor": metres}
+    content["coordinate_system"]["axis"][2]["unit"] = unit
+    return CRS.from_json_dict(content)
 
 
 def _by_gdal(entries: NDArray[np.uint16], doubles: bytes, text: bytes) -> CRS | None:

@@ -16,6 +16,7 @@ from rasterio.windows import Window
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.crs import (
+    LIBLAS_KEY,
     WKT_KEY,
     best_transformer,
     compound,
@@ -163,7 +164,7 @@ class Reprojection:
         Heights above ground are in the target's unit.
         """
         header = read_header(src)
-        dropped = {LASZIP_KEY, EXTRA_BYTES_KEY, WKT_KEY, *GEO_KEYS}
+        dropped = {LASZIP_KEY, EXTRA_BYTES_KEY, WKT_KEY, LIBLAS_KEY, *GEO_KEYS}
         corners = self.places(np.array([header.mins_m, header.maxs_m], np.float64))
         offsets = np.floor(corners.mean(axis=0) / 1000.0) * 1000.0 if header.n_points else [0.0] * 3
         offset_x, offset_y, offset_z = map(float, offsets)

@@ -15,6 +15,7 @@ from pyproj import CRS
 from pyproj.database import get_units_map
 
 from spl_batch.constants import FOOT_M, US_FOOT_M
+from spl_batch.errors import grouped
 
 METRE: Final = "metre"
 FOOT: Final = "foot"
@@ -25,6 +26,8 @@ NAMES: Final[Mapping[str, str]] = MappingProxyType({"m": METRE, "ft": FOOT, "us-
 
 COMMON: Final = {METRE: 1.0, FOOT: FOOT_M, US_FOOT: US_FOOT_M}
 """Units of deliveries by PROJ's names [m]; files name them in many ways, with as many digits."""
+
+_IN_WORDS: Final = {METRE: "metres", "foot": "feet", US_FOOT: "US survey feet"}
 
 _SAME_UNIT: Final = 5e-7
 """Relative difference within which a unit is one of these: both feet differ by 2e-6."""
@@ -85,6 +88,20 @@ class Units:
 
 def _written(name: str) -> str:
     return "ft" if name.endswith("foot") else "m" if name == METRE else name
+
+
+def in_words(unit: str) -> str:
+    """A unit by PROJ's name, as a sentence has it: ``US survey feet``."""
+    return _IN_WORDS.get(unit, unit)
+
+
+def both(metres: float, unit: tuple[str, float], digits: int = 2) -> str:
+    """A length in a survey's unit with metres beside, ``12.30 ft (3.75 m)``; of metres these alone.
+
+    ``unit``: its name, and the metres in it, as of :attr:`Units.of_heights`.
+    """
+    (name, unit_m), text = unit, f"{grouped(metres, digits)} m"
+    return text if unit_m == 1.0 else f"{grouped(metres / unit_m, digits)} {name} ({text})"
 
 
 METRES: Final = Units()

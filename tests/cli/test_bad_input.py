@@ -167,6 +167,8 @@ def test_a_cloud_in_another_crs_is_named(survey: Path) -> None:
     surveys.write_cloud(survey.parent / "lines/third.laz", surveys.flightline(shots=10, psid=3))
     (fault,) = api.plan(survey).faults
     assert "other.laz" in fault
+    assert "-87 degree against -93 degree" in fault
+    assert "--writers.las.a_srs" in fault
     surveys.write_cloud(survey.parent / "reference.laz", other, crs="EPSG:25832")
     refused(planned(survey, "--set", "reference.points=reference.laz"), "reference.laz")
 

@@ -9,7 +9,7 @@ import rasterio
 from pyproj import CRS, Transformer
 
 from spl_batch.constants import FOOT_M, NODATA, QUANTUM_M
-from spl_batch.errors import WorkflowError
+from spl_batch.errors import InputError, WorkflowError
 from spl_batch.formats.crs import compound, horizontal, in_unit, vertical
 from spl_batch.formats.geoid import Geoid
 from spl_batch.formats.las.reader import inspect, iter_points
@@ -17,7 +17,7 @@ from spl_batch.formats.las.writer import write_points
 from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.formats.rasters.parts import overview_frame, read_overview, read_part
 from spl_batch.formats.reprojection import Reprojection
-from spl_batch.formats.trajectory.positions import gathering
+from spl_batch.formats.trajectory.positions import PointExtent, gathering
 from spl_batch.formats.units import COMMON, METRES, NAMES, US_FOOT, Units
 from tests import surveys
 from tests.formats.test_geoid import write_grid
@@ -94,6 +94,13 @@ def test_a_trajectory_in_the_surveys_feet_is_read_in_metres(tmp_path: Path, name
     with gathering([path], survey_crs=crs, trajectory_crs=named) as found:
         ((_, xyz),) = found
     np.testing.assert_allclose(xyz[1], np.array([3_000_100, 13_000_000, 6000]) * US_M, atol=1e-6)
+    points = PointExtent((1.0, 2.0), (0.0, 13_000_000 * US_M, 100.0, 13_000_000 * US_M))
+    told = r"x 3000050, y 13000000 ft is 2 999 672 ft \(914 302 m\) from the points"
+    with (
+        pytest.raises(InputError, match=told),
+        gathering([path], survey_crs=crs, trajectory_crs=named, points=points) as found,
+    ):
+        list(found)
 
 
 def test_a_geoid_below_a_survey_in_feet(tmp_path: Path) -> None:
@@ -105,12 +112,12 @@ def test_a_geoid_below_a_survey_in_feet(tmp_path: Path) -> None:
     above = geoid.heights(there[0] * US_M, there[1] * US_M)
     np.testing.assert_allclose(above, Geoid(name, tmp_path / name, utm).heights(x, y), atol=1e-6)
     assert Units.of(geoid.crs_above("EPSG:6360")).vertical == US_FOOT
-    with pytest.raises(WorkflowError, match="is not in US survey foot"):
+    with pytest.raises(WorkflowError, match="is not in US survey feet"):
         geoid.crs_above("EPSG:5703")
     heights = 'VERT_CS["Ellipsoid (metre)",VERT_DATUM["Ellipsoid",2002],UNIT["metre",1]]'
     mixed = Geoid(name, tmp_path / name, compound(feet, CRS.from_wkt(heights)))
     assert Units.of(mixed.crs_above("EPSG:5703")).vertical_m == 1.0
-    with pytest.raises(WorkflowError, match="heights are in metre, eastings in US survey foot"):
+    with pytest.raises(WorkflowError, match="heights are in metres, eastings in US survey feet"):
         mixed.crs_above(None)
 
 
@@ -230,7 +237,7 @@ def test_clouds_and_rasters_in_another_crs(tmp_path: Path) -> None:
         ("EPSG:32615+5703", "EPSG:2278+5773", "cannot be reached .* grid that it lacks"),
         ("EPSG:32615", "EPSG:32606", "stretches lengths"),
         ("EPSG:27700", "EPSG:25830", "pyproj sync --file uk_os_OSTN15_NTv2_OSGBtoETRS.tif"),
-        ("EPSG:2994", "EPSG:2992", "lacks us_noaa_nadcon5_nad83_1986_nad83_harn_conus.tif"),
+        ("EPSG:2994", "EPSG:2992", "lacks what .* --file us_noaa_nadcon5_nad83_1986_nad83_harn"),
     ],
 )
 def test_a_crs_that_cannot_be_reached_is_refused(survey, named: str, fault: str) -> None:

@@ -40,6 +40,7 @@ from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.run_record import Receipts
 from spl_batch.formats.crs import vertical
 from spl_batch.formats.gps_clock import time_standard
+from spl_batch.formats.heights import NAVD88
 
 VEGETATION_PER_M2: Final = 1.0
 """Below this density shrubs become ground (``docs/delivery.md``) [1/m2]."""
@@ -104,7 +105,8 @@ def checkpoint_findings(tested: Checkpoints | None, context: Context) -> Iterato
     heights = [(z, z + off) for z, off in ((p.z_m, p.error_m) for p in points) if z and off]
     ratio = float(np.median([z / terrain for z, terrain in heights if terrain] or [1.0]))
     if min(abs(ratio * FOOT_M - 1.0), abs(ratio / FOOT_M - 1.0)) < FEET_ALIKE:
-        yield Finding("C01", {"kind": "feet", "count": len(heights), "ratio": ratio})
+        values = {"kind": "feet", "count": len(heights), "ratio": ratio, "codes": NAVD88}
+        yield Finding("C01", values)
     gross = [one for one in points if one.outlier and abs(one.error_m or 0.0) > limit_m]
     if gross:
         worst = max(gross, key=lambda one: abs(one.error_m or 0.0))

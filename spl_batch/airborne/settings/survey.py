@@ -80,7 +80,9 @@ class ReferenceSettings(Section):
     points: str | tuple[str, ...] | None = Field(
         None, description="LAS/LAZ with ground class 2, building 6."
     )
-    crs: str | None = Field(None, description="CRS for reference files that carry none.")
+    crs: str | None = Field(
+        None, description="CRS for reference files that carry none, or none of heights."
+    )
     remove_bias: bool = Field(
         False, description="Subtract the median difference before the statistics."
     )
@@ -91,7 +93,9 @@ class ReferenceSettings(Section):
         "vegetated; accuracy_m: the checkpoint's own.",
     )
     checkpoints_crs: str | None = Field(
-        None, description="CRS of checkpoints that state none; by default the survey's."
+        None,
+        description="CRS of checkpoints that state none, or none of heights; by default the "
+        "survey's.",
     )
     checkpoints_accuracy_m: Positive | None = Field(
         None, description="Vertical accuracy of checkpoints that state none, one sigma [m]."

@@ -38,6 +38,8 @@ def _fault(error: Any, model: type[BaseModel]) -> str:
         near = _nearest([part for part in parts if not part.isdigit()], [*_keys(model)])
         return f"{place}: no such key; the nearest known key is {near!r}"
     message = error["msg"].removeprefix("Value error, ")
+    if error["type"] == "float_parsing" and place.endswith("_m"):
+        message = "this key takes a number of metres, without a unit"
     shown = "" if isinstance(given, dict) else f" (found {brief(repr(given), 100)})"
     return f"{place}: {message[0].lower()}{message[1:]}{shown}" if place else message
 

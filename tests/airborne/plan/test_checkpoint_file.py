@@ -36,3 +36,43 @@ def test_faults_of_the_file_stop_a_plan_and_those_of_single_checkpoints_warn(
     assert ended.status == status
     assert [word for word in words if word not in said] == []
     assert "lies within the survey" not in said
+
+
+US_M, FEET = 1200 / 3937, "EPSG:2278+6360"
+
+
+@pytest.mark.parametrize(
+    ("z", "crs", "said"),
+    [
+        (20 / US_M, "", ""),
+        (20 / US_M, FEET, ""),
+        (20, "EPSG:2278+5703", "heights from metres to US survey feet"),
+        (20, "", "none of 1 checkpoints has a height that points have there: 20.00 ft (6.10 m)"),
+        (20, FEET, "name it, reference.checkpoints_crs: EPSG:...+5703 (EPSG:6360 states US survey"),
+        (20, "EPSG:32140", "the survey's heights are in US survey feet: name it in reference."),
+    ],
+)
+def test_metres_beside_a_survey_in_feet_are_named(
+    tmp_path: Path, z: float, crs: str, said: str
+) -> None:
+    path = surveys.write_cloud(tmp_path / "a.laz", surveys.flightline(shots=20, noise=0.0))
+    surveys.in_feet(path, tmp_path / "lines" / "a.laz", FEET, [US_M] * 3)
+    text = f"{HEAD}A,{(EAST + 1) / US_M},{NORTH / US_M},{z},open,0.01,{crs}\n"
+    (tmp_path / "c.csv").write_text(text)
+    workflow = surveys.write_workflow(tmp_path, reference={"checkpoints": "c.csv"})
+    ended = surveys.command("plan", workflow)
+    text = " ".join(ended.text.split())
+    assert said in text
+    assert ("c.csv: heights in US survey feet, as the survey's" in text) == (ended.status == 0)
+    assert ended.status == (2 if crs == "EPSG:32140" else 0)
+    assert ("C01" in ended.text) == bool(said and ended.status == 0)
+
+
+def test_places_are_in_the_units_of_the_survey(tmp_path: Path) -> None:
+    path = surveys.write_cloud(tmp_path / "a.laz", surveys.flightline(shots=20))
+    surveys.in_feet(path, tmp_path / "lines" / "a.laz", FEET, [US_M] * 3)
+    (tmp_path / "c.csv").write_text(f"{HEAD}A,1000,2000,66,open,0.01,\n")
+    workflow = surveys.write_workflow(tmp_path, reference={"checkpoints": "c.csv"})
+    said = " ".join(surveys.command("plan", workflow).text.split())
+    assert "they lie within 1 000 to 1 000 ft E, 2 000 to 2 000 ft N (305 to 305 m E" in said
+    assert "its points within 892 " in said

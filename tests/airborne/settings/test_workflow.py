@@ -101,6 +101,31 @@ def test_numbers_are_finite(tmp_path: Path, content: dict[str, Any], key: str) -
         load_any(path, [f"{key}=.nan"])
 
 
+@pytest.mark.parametrize(
+    ("text", "length_m"),
+    [
+        ("50 ft", 15.24),
+        ("50us-ft", 50 * 1200 / 3937),
+        (" 15 m", 15.0),
+        ("1.5e1", 15.0),
+        ("50 ftUS", None),
+        ("50 feet", None),
+        ("ft", None),
+    ],
+)
+def test_a_length_has_a_unit_that_is_known(text: str, length_m: float | None) -> None:
+    content = merged(products={"edge_max_m": text})
+    if length_m is None:
+        said = complaint(content)
+        assert "edge_max_m: write metres, or a length with its unit: 15 m, 50 ft" in said
+        assert "50 us-ft" in said
+    else:
+        found = parse_workflow(content, "w").products.edge_max_m
+        assert found == pytest.approx(length_m, abs=1e-12)
+    plain = complaint(merged(products={"cell_m": text if length_m != 15.0 else "15 m"}))
+    assert "products.cell_m: this key takes a number of metres, without a unit" in plain
+
+
 FILES, KHZ = MINIMAL["survey"], "30 kHz is 30000"
 FAULTS = [
     ({"tiling": {"tile": 1}}, ("tiling.tile: no such key", "'tiling.tile_m'")),

@@ -130,7 +130,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     good, bad = _inspect(paths)
     good, without_channel = _with_channel(good, workflow.survey.channel_dimension)
     crs, good, mismatched = survey_crs(workflow, good)
-    crs, good, lowered = with_heights(crs, workflow.survey.crs, good)
+    crs, good, lowered = with_heights(crs, workflow.survey, good)
     mismatched += lowered
     if not any(facts.n_points for facts in good):
         bad += [InputError(str(facts.path), NO_POINTS) for facts in good]
@@ -169,7 +169,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         tuple(sorted(sources, key=lambda s: s.name)),
         (*bad, *without_channel, *mismatched),
         trajectory,
-        checked_reference(reference, workflow.reference, crs, mismatched),
+        checked_reference(reference if good else (), workflow.reference, crs, mismatched),
         crs,
         tuple(warnings),
         tuple(_checksums(workflow, base)),
