@@ -50,6 +50,7 @@ class Air(NamedTuple):
     layers: NDArray[np.float64]
     #: (k, WAVES, 3): wave numbers east and north [rad/m] and phases [rad].
     waves: NDArray[np.float64]
+    gate_fall: float  #: Background at the start of the gate less that at its end, over their sum.
 
 
 class NoiseGrid(NamedTuple):
@@ -79,7 +80,7 @@ def make_air(scene: Scene, noise_per_m: float) -> Air:
         )
     for k, fog in enumerate(sky.fog, start=len(sky.haze)):
         layers[k, 3], layers[k, 7] = fog.times_noise * noise_per_m, fog.scale_m
-    return Air(layers, waves)
+    return Air(layers, waves, sky.gate_fall)
 
 
 def empty_grid(scene: Scene) -> NoiseGrid:
@@ -182,7 +183,8 @@ def deposit(
     # A start that wanders with the beamlet fills the gaps between the samples.
     at = start + step * (abs(axis[0] * 1e6 + axis[1] * 1.618e6) % 1.0)
     for _ in range(NOISE_SAMPLES):
-        _put(grid, ray, at, expected / NOISE_SAMPLES)
+        share = 1.0 + air.gate_fall * (1.0 - 2.0 * (at - start) / (stop - start))
+        _put(grid, ray, at, expected / NOISE_SAMPLES * share)
         at += step
     for k in range(len(air.layers)):
         layer = air.layers[k]

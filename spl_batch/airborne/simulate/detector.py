@@ -145,13 +145,21 @@ def add_background(
     facts: NDArray[np.int64],
     gate: tuple[float, float],
     per_m: float,
+    fall: float = 0.0,
 ) -> int:
-    """First events of a beamlet: background, a Poisson process along the gate [1/m]; how many."""
-    n = 0
-    if per_m <= 0.0:
+    """First events of a beamlet: background, a Poisson process along the gate; how many.
+
+    ``fall``: rate at the start less that at the end, over their sum, -1..1, linear between; it is
+    drawn by thinning. ``per_m`` is the mean [1/m].
+    """
+    start, stop = gate
+    n, most = 0, per_m * (1.0 + abs(fall))
+    if most <= 0.0:
         return n
-    at = gate[0] - math.log(1.0 - rng.random()) / per_m
-    while at < gate[1]:
-        n = add_event(ranges, facts, n, at, KIND_BACKGROUND, NO_PARENT, -1)
-        at -= math.log(1.0 - rng.random()) / per_m
+    at = start - math.log(1.0 - rng.random()) / most
+    while at < stop:
+        rate = per_m * (1.0 + fall * (1.0 - 2.0 * (at - start) / (stop - start)))
+        if fall == 0.0 or rng.random() * most < rate:
+            n = add_event(ranges, facts, n, at, KIND_BACKGROUND, NO_PARENT, -1)
+        at -= math.log(1.0 - rng.random()) / most
     return n

@@ -209,7 +209,7 @@ def _look(  # type: ignore[no-untyped-def]
     if scene.ground.light.shape[0] > 0:
         glow = brightness(scene, (origin, axis), optics.sigma_rad, layers)
     noise = gain * (shots.noise_per_m[shot] + glow * shots.ground_per_m[shot])
-    n = add_background(rng, ranges, facts, (start, stop), noise)
+    n = add_background(rng, ranges, facts, (start, stop), noise, air.gate_fall)
     ray = (origin, axis, path)
     n, hard = add_signal(rng, scene, optics, gain, ray, layers, ranges, facts, n)
     span, time_s = (start, min(hard, stop)), shots.time_s[shot]

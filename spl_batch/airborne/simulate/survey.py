@@ -131,7 +131,7 @@ def _most_events(rig: _Rig, run: Pass) -> int:
     # tuned wires may send back more than falls on them
     brightest *= max(1.0, float(rig.arrays.wire[:, 9].max(initial=0.0)))
     air = float(rig.air.layers[:, 3].sum())
-    noise = gate * gain * (float(peak[0]) + air)
+    noise = gate * gain * (float(peak[0]) * (1 + abs(rig.air.gate_fall)) + air)
     return event_room(noise, brightest, layer_room(rig.arrays))
 
 

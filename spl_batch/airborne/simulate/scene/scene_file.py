@@ -146,6 +146,15 @@ class Water(Section):
         0.15, description="Diffuse attenuation of clear water, one way [1/m]."
     )
     bottom_reflectance: Share = Field(0.15, description="Of its bottom.")
+    waves_m: NotNegative = Field(
+        0.0, description="Spread of heights of opaque water, standing waves of some 10 m [m]."
+    )
+
+    @model_validator(mode="after")
+    def _opaque_with_waves(self) -> "Water":
+        if self.waves_m and self.depth_m:
+            raise ValueError("waves_m needs opaque water: leave depth_m out")
+        return self
 
 
 class Flight(Section):
@@ -205,6 +214,9 @@ class Sky(Section):
     scale_height_m: Positive = Field(8000.0, description="Of the atmosphere [m].")
     variation: float = Field(0.3, ge=0, lt=1, description="Relative swing along a flightline.")
     period_s: Positive = Field(5.0, description="Of the swing [s].")
+    gate_fall: float = Field(
+        0.0, ge=-1, le=1, description="Background at the gate's start less end, over their sum."
+    )
     haze: tuple[Haze, ...] = Field((), description="Layers of haze or cloud.")
     fog: tuple[Fog, ...] = Field((), description="Fog on the ground.")
 

@@ -20,6 +20,9 @@ from spl_batch.airborne.simulate.scene.scene_file import Scene
 APRON_M = 60.0
 """How far the ground goes on beyond the extent, so that slanted beams meet it [m]."""
 
+WAVE_M = 10.0
+"""Length of waves on water [m]."""
+
 STEEPEST = 0.7
 """Slope times tangent off nadir from which on beams are followed down to the ground."""
 
@@ -95,6 +98,15 @@ def _smooth_noise(
     return scaled
 
 
+def _waves(scene: Scene, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Waves of mean zero and spread one."""
+    rng = scene.chance(7)
+    sigma = WAVE_M / scene.terrain.grid_m / 4
+    rough = ndimage.gaussian_filter(rng.standard_normal(shape), sigma, mode="wrap")
+    waves: NDArray[np.float64] = (rough - rough.mean()) / max(float(rough.std()), 1e-12)
+    return waves
+
+
 def _parcels(scene: Scene, shape: tuple[int, int], parcel_m: float) -> NDArray[np.float64]:
     """Factor of the reflectance, one for the places nearest to each of some random ones."""
     rng, step = scene.chance(8), scene.terrain.grid_m
@@ -130,6 +142,8 @@ def _flood(scene: Scene, ground: Ground) -> NDArray[np.float64]:
         wet = distance == 0.0
         z[:] = np.minimum(z, level + 0.05 + water.bank_slope * distance)
         z[wet] = level
+        if water.waves_m:
+            z[wet] += water.waves_m * _waves(scene, wet.shape)[wet]
         rho[wet], kind[wet] = water.reflectance, KIND_WATER
         if water.depth_m > 0.0:
             shore = distance_to(polygon.exterior, ground.grid, nodes, near)
