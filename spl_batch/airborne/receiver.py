@@ -229,9 +229,8 @@ def _swath_findings(step: Step, survey: Survey) -> Iterator[Finding]:
         cells = survey.of("strip_patches").items()
         yield from left_out_warnings({name: r.facts.get("left_out", 0) for name, r in cells})
     if step.name == "strip_pairs":
-        for receipt in survey.of("strip_pairs").values():
-            align = survey.workflow.survey.align
-            yield from offset_warnings(pairs_of(receipt.facts), align)
+        pairs = pairs_of(survey.of("strip_pairs").values())
+        yield from offset_warnings(pairs, survey.workflow.survey.align)
 
 
 def _shift_notes(survey: Survey) -> Iterator[Finding]:
@@ -239,7 +238,7 @@ def _shift_notes(survey: Survey) -> Iterator[Finding]:
     if bool(survey.of("index_file")) and is_one_flightline(survey):
         texts = ["survey.align: there is one flightline, nothing is shifted"]
     else:
-        found = (shifts_of(r.facts) for r in survey.of("align").values())
-        texts = [done_sentence(s) for s in found if not all(one.stays for one in s)]
+        found = shifts_of(survey.of("align").values())
+        texts = [] if all(one.stays for one in found) else [done_sentence(found)]
     for text in texts:
         yield Finding("E01", {"kind": "memory", "what": text})

@@ -3,7 +3,6 @@
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import chain
 from typing import Any, Final
 
 import numpy as np
@@ -24,8 +23,7 @@ from spl_batch.airborne.accuracy.evidence import (
 from spl_batch.airborne.accuracy.requirements import Requirement, requirements
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.diagnostics.terrain_sigma import unsure_share
-from spl_batch.airborne.lines.alignment import AlignedLine
-from spl_batch.airborne.lines.comparison import pairs_of, shifts_of
+from spl_batch.airborne.lines.comparison import pairs_of
 from spl_batch.airborne.lines.pair_table import StripPair
 from spl_batch.airborne.plan.flightlines import Flightline, find_flightlines, swath_totals
 from spl_batch.airborne.pulses.swaths import SPACINGS, Coverage
@@ -69,7 +67,7 @@ def judged(done: Receipts, context: Context) -> tuple[Requirement, ...]:
         single=asked.coverage == "single",
         by_swath=swath_totals(done.get("surface", {}).values(), flown, limits.spacing),
         water_known=workflow.water is not None,
-        swaths=_swaths(strip_pairs(done)),
+        swaths=_swaths(pairs_of(done.get("strip_pairs", {}).values())),
         flightlines=len(flown),
         classes=_classes(done),
         withheld_unclassified=sum(
@@ -251,19 +249,7 @@ def _quantile(cells: Mapping[int, int], share: float) -> int:
     return next(value for value, n in zip(values, below, strict=True) if n >= wanted)
 
 
-def strip_pairs(done: Receipts) -> tuple[StripPair, ...]:
-    """Pairs of flightlines as they are delivered."""
-    found = (pairs_of(receipt.facts) for receipt in done.get("strip_pairs", {}).values())
-    return tuple(chain.from_iterable(found))
-
-
 def pairs_not_compared(done: Receipts) -> tuple[tuple[str, str], ...]:
     """Flightlines that overlap without planar patches enough to be compared."""
     receipts = done.get("strip_pairs", {}).values()
     return tuple((one, other) for r in receipts for one, other in r.facts.get("not_compared", ()))
-
-
-def alignment(done: Receipts) -> tuple[AlignedLine, ...]:
-    """Shifts that were applied."""
-    found = (shifts_of(receipt.facts) for receipt in done.get("align", {}).values())
-    return tuple(chain.from_iterable(found))

@@ -14,9 +14,8 @@ from spl_batch.airborne.diagnostics.air_fill import air_findings
 from spl_batch.airborne.diagnostics.noise_fit import noise_findings, p_values, uniformity
 from spl_batch.airborne.diagnostics.terrain_sigma import terrain_findings
 from spl_batch.airborne.hydro.flattening import bank_findings
-from spl_batch.airborne.lines.comparison import difference_map
+from spl_batch.airborne.lines.comparison import difference_map, pairs_of, shifts_of
 from spl_batch.airborne.report.good_enough import (
-    alignment,
     area_km2,
     checkpoint_findings,
     checkpoint_report,
@@ -24,7 +23,6 @@ from spl_batch.airborne.report.good_enough import (
     judged,
     pairs_not_compared,
     sparse_vegetation,
-    strip_pairs,
     swath_reports,
 )
 from spl_batch.airborne.report.model import (
@@ -78,9 +76,9 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         density=covered,
         noise=noise,
         swaths=swath_reports(done, context),
-        strips=strip_pairs(done),
+        strips=pairs_of(done.get("strip_pairs", {}).values()),
         strips_not_compared=pairs_not_compared(done),
-        alignment=alignment(done),
+        alignment=shifts_of(done.get("align", {}).values()),
         client_tiles=tuple(
             ClientTile(name=name, points=r.points)
             for name, r in sorted(done.get("deliver_client_tile", {}).items())

@@ -254,6 +254,15 @@ class TestPictures:
         assert sum(label.endswith("[ft]") for label in labels) == 6
         assert re.search(r"RMSE \S+\sft \(\S+\scm\)", drawn[-2].axes[0].get_title(loc="left"))
 
+    def test_differences_are_shown_in_centimetres(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        drawn: list[Figure] = []
+        monkeypatch.setattr(style, "to_png", lambda made: (drawn.append(made), (b"", 1, 1))[1])
+        metres = Raster(np.linspace(0.0, 0.4, 900).reshape(30, 30), EXTENT)
+        make_pictures({"strips": metres, "difference": metres}, make_report())
+        strips, difference = (made.axes[1].viewLim.get_points() for made in drawn)
+        assert strips.max() == pytest.approx(39.2, abs=0.1), "98 % of the cells"
+        assert np.abs(difference).max() == 50.0
+
     def test_the_order_of_points_does_not_show(self) -> None:
         profile = make_profile(np.random.default_rng(1))
         order = np.random.default_rng(2).permutation(profile.along_m.size)
