@@ -14,7 +14,7 @@ import numpy as np
 from spl_batch.engine.report import style
 from spl_batch.engine.store.working_store import read_receipts
 from spl_batch.engine.tasks.task import Need
-from spl_batch.engine.verbs.preparing import prepare
+from spl_batch.engine.verbs.planning import prepare
 
 FILE: Final = Path("docs/images/graph.png")
 MOST_BYTES: Final = 150_000

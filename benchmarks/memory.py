@@ -88,10 +88,10 @@ def tasks(workflow: Path, overrides: Sequence[str]) -> None:
         region.append(len(found[0]))
         return found
 
-    def watched(task: Task, key: str, context: Context, run: str = "") -> Receipt:
+    def watched(task: Task, key: str, context: Context) -> Receipt:
         region.clear()
         with Peak().watching() as peak:
-            receipt = plain(task, key, context, run)
+            receipt = plain(task, key, context)
         held = region[0] if region else max(task.points, receipt.points)
         seen[task.kind].append((peak.highest - peak.before, held, peak.before))
         return receipt

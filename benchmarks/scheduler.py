@@ -32,7 +32,7 @@ from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.settings.workflow import parse_workflow
 from spl_batch.airborne.steps import STEPS
 from spl_batch.engine.tasks.task import Receipt, Task
-from spl_batch.engine.tasks.worklist import Worklist
+from spl_batch.engine.verbs.graph import Worklist
 from spl_batch.engine.watch.status import LOG, seconds
 from spl_batch.formats.las.reader import LasFacts
 

@@ -5,6 +5,8 @@ Nothing here is a setting: a value that a user may want to change lives in
 :mod:`spl_batch.airborne.sensors.sensor`.
 """
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Final
 
 SPEED_OF_LIGHT_M_S: Final = 299_792_458.0
@@ -43,6 +45,23 @@ CLASS_WATER: Final = 9
 CLASS_WIRE: Final = 14
 CLASS_HIGH_NOISE: Final = 18
 """ASPRS LAS 1.4 classes that the delivered clouds use."""
+
+CLASS_NAMES: Final[Mapping[int, str]] = MappingProxyType(
+    {
+        0: "never classified",
+        CLASS_UNCLASSIFIED: "unclassified",
+        CLASS_GROUND: "ground",
+        CLASS_LOW_VEGETATION: "low vegetation",
+        CLASS_MEDIUM_VEGETATION: "medium vegetation",
+        CLASS_HIGH_VEGETATION: "high vegetation",
+        CLASS_BUILDING: "building",
+        CLASS_LOW_NOISE: "low noise",
+        CLASS_WATER: "water",
+        CLASS_WIRE: "wire",
+        CLASS_HIGH_NOISE: "high noise",
+    }
+)
+"""Classes of LAS that this project gives or reads [LAS 1.4 R15, table 17]."""
 
 FLAG_WITHHELD: Final = 4
 FLAG_OVERLAP: Final = 8

@@ -23,7 +23,10 @@ class Home:
     workflow: str
     steps: str  #: What its tasks do: a table of :class:`~spl_batch.engine.tasks.step.Step`.
     receiver: str  #: What the verbs need: a :class:`~spl_batch.engine.verbs.receiver.Receiver`.
-    report: str
+    report: str  #: Model of its report.
+    #: Writes that and its page, and returns the model: a function of finished tasks by step and
+    #: name, the context, and :class:`~spl_batch.engine.report.run_record.RunFacts`.
+    summarise: str
     #: Makes synthetic data: a function of a scene file, an output folder and, by name, of
     #: ``progress``, which is told the share that is done; what it gives back has ``rows``, label
     #: and value of what a user is told. It leaves a ``workflow.yaml`` in the folder.
@@ -47,6 +50,7 @@ HOMES: Final[Mapping[str, Home]] = MappingProxyType(
             "spl_batch.airborne.steps:STEPS",
             "spl_batch.airborne.receiver:RECEIVER",
             "spl_batch.airborne.report.model:Report",
+            "spl_batch.airborne.report.summarise:summarise",
             "spl_batch.airborne.simulate:simulate_file",
             "spl_batch.airborne.compare.comparison:METHODS",
             "spl_batch.airborne.first_use.commented:begin",
@@ -58,6 +62,7 @@ HOMES: Final[Mapping[str, Home]] = MappingProxyType(
             "spl_batch.altimetry.steps:STEPS",
             "spl_batch.altimetry.receiver:RECEIVER",
             "spl_batch.altimetry.report.model:TrackReport",
+            "spl_batch.altimetry.report.summarise:summarise",
             "spl_batch.altimetry.simulate:simulate_file",
             "spl_batch.altimetry.compare.comparison:METHODS",
             "spl_batch.altimetry.first_use:begin",
@@ -71,6 +76,7 @@ HOMES: Final[Mapping[str, Home]] = MappingProxyType(
             "spl_batch.geiger.coincidence.steps:STEPS",
             "spl_batch.geiger.coincidence.receiver:RECEIVER",
             "spl_batch.geiger.coincidence.report.model:CoincidenceReport",
+            "spl_batch.geiger.coincidence.report.summarise:summarise",
             "spl_batch.geiger.coincidence.simulate:simulate_file",
             extra="geiger",
             codes="spl_batch.geiger.coincidence.findings:CODES",
@@ -80,6 +86,7 @@ HOMES: Final[Mapping[str, Home]] = MappingProxyType(
             "spl_batch.geiger.water.steps:STEPS",
             "spl_batch.geiger.water.receiver:RECEIVER",
             "spl_batch.geiger.water.report.model:WaterReport",
+            "spl_batch.geiger.water.report.summarise:summarise",
             "spl_batch.geiger.water.simulate:simulate_file",
             extra="geiger",
             codes="spl_batch.geiger.water.findings:CODES",
@@ -107,6 +114,11 @@ def receiver(kind: str) -> Any:
 def report_model(kind: str) -> Any:
     """Model of a receiver's report."""
     return _part(kind, HOMES[kind].report)
+
+
+def summariser(kind: str) -> Any:
+    """What writes a receiver's report; it takes seconds to import what draws."""
+    return _part(kind, HOMES[kind].summarise)
 
 
 def simulator(kind: str) -> Any:

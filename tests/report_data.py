@@ -1,4 +1,4 @@
-"""A believable survey for the report's tests: relief, houses, trees, a wire, and noise."""
+"""A survey for the report's tests: relief, houses, and a profile of everything."""
 
 import io
 from collections.abc import Iterator
@@ -33,75 +33,38 @@ from spl_batch.engine.report.parts import (
     Statistics,
 )
 from spl_batch.engine.report.reported import reported
+from spl_batch.numerics.error_statistics import statistics
 
 EXTENT = (500_000.0, 500_400.0, 3_300_000.0, 3_300_300.0)
-
-
-def make_finding(count: int) -> Finding:
-    """A trajectory that ends too early."""
-    values = {"kind": "uncovered", "count": count, "first_s": 1.0, "last_s": 3.1}
-    return Finding("T02", values, "00003_1000")
-
-
-def statistics(differences: NDArray[Any]) -> Statistics:
-    median = np.median(differences)
-    return Statistics(
-        n=differences.size,
-        mean=differences.mean(),
-        median=median,
-        rmse=np.sqrt(np.mean(differences**2)),
-        sd=differences.std(),
-        nmad=1.4826 * np.median(np.abs(differences - median)),
-        p95=np.percentile(np.abs(differences), 95),
-        min=differences.min(),
-        max=differences.max(),
-    )
+UNCOVERED = {"kind": "uncovered", "count": 118_402, "first_s": 1.0, "last_s": 3.1}
+"""Of a trajectory that ends too early."""
 
 
 def terrain(x: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
-    hills = 6 * np.sin(x / 71) * np.cos(y / 53) + 0.04 * x
-    bank = 3.0 / (1 + np.exp(-(y - 150 - 25 * np.sin(x / 60)) / 4))
-    return 52 + hills + bank
+    hills: NDArray[Any] = 52 + 6 * np.sin(x / 71) * np.cos(y / 53) + 0.04 * x
+    return hills
 
 
 @cache
 def make_inputs() -> dict[str, Any]:
     """Arguments of the pictures of a report."""
-    rows, columns = 300, 400
     rng = np.random.default_rng(20_260)
-    x, y = np.meshgrid(np.arange(columns) + 0.5, rows - np.arange(rows) - 0.5)
-    ground = terrain(x, y)
-    dsm = ground + np.abs(rng.normal(0, 0.04, ground.shape))
-    for west, south, wide, deep, high in (
-        (40, 40, 30, 18, 6.0),
-        (100, 50, 22, 26, 8.5),
-        (220, 60, 45, 20, 5.5),
-        (300, 210, 24, 24, 11.0),
-        (60, 220, 36, 16, 7.0),
-    ):
-        inside = (x > west) & (x < west + wide) & (y > south) & (y < south + deep)
-        ridge = high + 2.2 - 0.35 * np.abs(y - south - deep / 2)
-        dsm[inside] = (ground + ridge)[inside]
-    for _ in range(160):
-        cx, cy = rng.uniform(0, columns), rng.uniform(100, 220)
-        radius, high = rng.uniform(2, 6), rng.uniform(4, 18)
-        crown = high * (1 - ((x - cx) ** 2 + (y - cy) ** 2) / radius**2)
-        crown += rng.normal(0, 0.5, crown.shape)
-        dsm = np.maximum(dsm, ground + np.where(crown > 0, crown, 0))
+    x, y = np.meshgrid(np.arange(400) + 0.5, 300 - np.arange(300) - 0.5)
     void = (x - 350) ** 2 / 900 + (y - 40) ** 2 / 300 < 1
-    difference = rng.normal(0.008, 0.035, ground.shape) + 0.03 * np.sin(x / 40)
-    difference[dsm - ground > 2] += np.abs(rng.normal(0, 0.12, (dsm - ground > 2).sum()))
-    dtm = np.where(void, -9999.0, ground)
-    noise = 0.05 + 0.07 / (1 + np.exp(-(x[::10, ::10] - 160) / 12)) + 0.0001 * y[::10, ::10]
-    density = 14 + 9 * (np.abs((y % 120) - 60) < 25) + rng.poisson(6, ground.shape)
+    ground, height = terrain(x, y), 9.0 * ((x // 20 + y // 20) % 3 == 0)
+    density = 14.0 + rng.poisson(6, x.shape)
+    difference = rng.normal(0.008, 0.035, x.shape) + 0.03 * np.sin(x / 40)
+    known = {
+        "dtm": ground,
+        "chm": height,
+        "dtm_quality": 0.03 + 0.001 * density,
+        "density": density,
+        "difference": difference,
+    }
     rasters = {
-        "dtm": dtm.astype(np.float32),
-        "dsm": np.where(void, np.nan, dsm),
-        "chm": np.where(void, -9999.0, dsm - ground),
-        "dtm_quality": np.where(void, -9999.0, 0.03 + 0.001 * density),
-        "density": np.where(void, -9999.0, density),
-        "difference": np.where(void, -9999.0, difference),
-        "noise_density": noise,
+        **{name: np.where(void, -9999.0, values) for name, values in known.items()},
+        "dsm": np.where(void, np.nan, ground + height),
+        "noise_density": 0.05 + 0.0002 * x[::10, ::10],
         "strips": 0.05 + 0.0001 * x[::20, ::20],
     }
     return {
@@ -112,28 +75,18 @@ def make_inputs() -> dict[str, Any]:
 
 
 def make_profile(rng: np.random.Generator) -> Profile:
-    def surface(along: NDArray[Any]) -> NDArray[Any]:
-        return terrain(along + 30, np.full_like(along, 60.0))
-
-    parts = []
-    along = rng.uniform(0, 100, 2600)
-    parts.append((along, surface(along) + rng.normal(0, 0.05, along.size), 0, 2))
-    roof = rng.uniform(22, 44, 900)
-    parts.append((roof, surface(roof) + 9 - 0.3 * abs(roof - 33) + rng.normal(0, 0.05, 900), 0, 6))
-    after = roof[:150]
-    lag = 0.3 + rng.exponential(0.7, 150)
-    parts.append((after, surface(after) + 9 - 0.3 * abs(after - 33) - lag, 2, 1))
-    tree = rng.normal(70, 3, 1500)
-    parts.append((tree, surface(tree) + 11 * rng.beta(2, 1.4, 1500), 0, 1))
-    wire = rng.uniform(0, 100, 130)
-    parts.append((wire, 76 + 0.0022 * (wire - 50) ** 2 + rng.normal(0, 0.05, 130), 0, 1))
-    noise = rng.uniform(0, 100, 8000)
-    parts.append((noise, rng.uniform(-60, 240, 8000), 1, 7))
+    """Ground, a roof, its afterpulses, trees and noise: number, greatest height, and classes."""
+    kinds = np.array(
+        [(2600, 0.1, 0, 2), (900, 9.0, 0, 6), (150, 8.0, 2, 1), (1500, 11, 0, 1), (8000, 240, 1, 7)]
+    )
+    count = kinds[:, 0].astype(int)
+    high, noise_class, classification = np.repeat(kinds[:, 1:], count, axis=0).T
+    along = rng.uniform(0, 100, count.sum())
     return Profile(
-        along_m=np.concatenate([p[0] for p in parts]),
-        z_m=np.concatenate([p[1] for p in parts]),
-        noise_class=np.concatenate([np.full(len(p[0]), p[2], np.uint8) for p in parts]),
-        classification=np.concatenate([np.full(len(p[0]), p[3], np.uint8) for p in parts]),
+        along_m=along,
+        z_m=terrain(along + 30, np.full_like(along, 60.0)) + high * rng.random(count.sum()),
+        noise_class=noise_class.astype(np.uint8),
+        classification=classification.astype(np.uint8),
         width_m=2.5,
     )
 
@@ -141,18 +94,17 @@ def make_profile(rng: np.random.Generator) -> Profile:
 @cache
 def make_accuracy() -> Accuracy:
     rng = np.random.default_rng(7)
-    seen = make_inputs()["differences_m"]
+
+    def of(mean_m: float, sd_m: float, n: int) -> Statistics:
+        return Statistics(**statistics(rng.normal(mean_m, sd_m, n)))
+
     return Accuracy(
         dtm={
-            "all": statistics(seen),
-            "open_ground": statistics(rng.normal(0.008, 0.04, 58_211)),
-            "under_canopy": statistics(rng.normal(0.05, 0.11, 31_377)),
+            "all": Statistics(**statistics(make_inputs()["differences_m"])),
+            "open_ground": of(0.008, 0.04, 58_211),
+            "under_canopy": of(0.05, 0.11, 31_377),
         },
-        dsm={
-            "all": statistics(rng.normal(-0.11, 0.9, 98_771)),
-            "roof": statistics(rng.normal(0.01, 0.06, 8_820)),
-            "canopy": statistics(rng.normal(-0.4, 1.7, 30_551)),
-        },
+        dsm={"all": of(-0.11, 0.9, 98_771), "roof": of(0.01, 0.06, 8_820)},
         reference_points=1_204_551,
         bias_m=0.011,
     )
@@ -237,7 +189,7 @@ def make_report(**changes: Any) -> Report:
                 for name, (w, t, p, m) in stages.items()
             },
         ),
-        "findings": reported([make_finding(118_402)]),
+        "findings": reported([Finding("T02", UNCOVERED, "00003_1000")]),
         "provenance": Provenance(
             version="0.1.0",
             created="2026-05-04T06:12:44+00:00",

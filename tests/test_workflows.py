@@ -2,16 +2,21 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
 from pydantic import BaseModel
 
-from spl_batch.airborne.settings.workflow import Workflow, parse_workflow
+from spl_batch import api
+from spl_batch.airborne.settings.workflow import parse_workflow
 from spl_batch.airborne.simulate.scene import scene_file
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
 from spl_batch.engine.settings.workflow_file import parse_any
 from spl_batch.engine.tasks.step import stages
+from spl_batch.errors import WorkflowError
+from spl_batch.geiger.coincidence.simulate import SceneSettings
+from spl_batch.geiger.water.simulate import WaterScene
 from tests.workflow_files import differing, unshown
 
 ROOT = Path(__file__).parents[1]
@@ -51,22 +56,60 @@ def test_the_scene_file_names_every_key_and_what_is_commented_out_is_accepted_to
     assert (scene.sky.haze[0].times_noise, scene.sky.fog[0].scale_m) == (20.0, 1.5)
 
 
-def test_the_complete_workflow_names_every_key_with_its_default() -> None:
-    text = (ROOT / "workflows" / "spl100.yaml").read_text(encoding="utf-8")
-    assert unshown(text, Workflow) == []
+LINES = ("survey.flightlines", "survey.trajectory", "survey.channel_dimension", "reference.points")
+TRACK = {"kind": "altimetry", "track": {"photons": "photons/*.h5"}, "reference": {}}
+FRAMES = ("survey.frames", "survey.detections")
+COMPLETE = {
+    "spl100.yaml": (
+        {"survey": {"flightlines": "x"}, "reference": {"points": "x"}},
+        {"survey.name", *LINES},
+    ),
+    "altimetry.yaml": (TRACK, set()),
+    "coincidence.yaml": (
+        {"kind": "coincidence", "survey": {"frames": "f", "detections": "d"}},
+        {"survey.name", "survey.crs", *FRAMES},
+    ),
+    "water_surface.yaml": (
+        {"kind": "water_surface", "survey": {"frames": "x"}},
+        {"survey.name", "survey.frames", "calibration.frames"},
+    ),
+}
+"""What a workflow cannot do without, and what the complete file shows an example of."""
 
-    content = yaml.safe_load(text)
-    bare = parse_workflow({"survey": {"flightlines": "x"}, "output": "out"}, "bare")
-    examples = {
-        "survey.name",
-        "survey.flightlines",
-        "survey.trajectory",
-        "survey.channel_dimension",
-        "reference.points",
-    }
-    defaults = bare.model_dump(mode="json")
-    defaults["reference"] = {"remove_bias": False}
-    assert set(differing(content, defaults)) == examples
+
+@pytest.mark.parametrize("name", COMPLETE)
+def test_a_complete_workflow_names_every_key_with_its_default(name: str) -> None:
+    needed, examples = COMPLETE[name]
+    text = (ROOT / "workflows" / name).read_text(encoding="utf-8")
+    bare = parse_any({"output": "out", **needed}, "bare")
+    assert unshown(text, type(bare)) == []
+    assert set(differing(yaml.safe_load(text), bare.model_dump(mode="json"))) == examples
+
+
+def test_the_scene_file_of_coincidence_shows_every_key_with_its_default() -> None:
+    text = (ROOT / "workflows" / "coincidence_scene.yaml").read_text(encoding="utf-8")
+    assert unshown(text, SceneSettings) == []
+    assert differing(yaml.safe_load(text), SceneSettings().model_dump(mode="json")) == []
+
+
+def test_the_scene_file_of_water_is_accepted() -> None:
+    text = (ROOT / "workflows" / "water_scene.yaml").read_text(encoding="utf-8")
+    assert len(WaterScene.model_validate(yaml.safe_load(text)).target.waves) == 2
+
+
+@pytest.mark.parametrize(
+    ("scene", "missing"),
+    [
+        ({"kind": "altimetry", "track": {"lenght_m": 5}}, "length_m"),
+        ({"kind": "water_surface", "target": {"waves": []}}, r"target\.down_m"),
+    ],
+)
+def test_a_scene_with_a_key_too_many_or_too_few_is_refused(
+    tmp_path: Path, scene: dict[str, Any], missing: str
+) -> None:
+    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(scene))
+    with pytest.raises(WorkflowError, match=missing):
+        api.simulate(tmp_path / "scene.yaml", tmp_path / "out")
 
 
 def test_the_readme_opens_with_the_two_commands() -> None:

@@ -15,7 +15,7 @@ from benchmarks.held import surveys
 from benchmarks.held.figures import Figure, figure
 from benchmarks.held.surveys import Given
 from spl_batch.engine.tasks.runner import run_task
-from spl_batch.engine.verbs.preparing import prepare
+from spl_batch.engine.verbs.planning import prepare
 
 ROUNDS: Final = 2
 """Rounds of tasks and of searches of which the least counts; kernels are compiled before."""

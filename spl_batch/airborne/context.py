@@ -5,9 +5,12 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from pyproj import CRS
 
+from spl_batch.airborne.settings import OutputSettings
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.tasks.context import RunContext
+from spl_batch.formats.reprojection import Reprojection
 from spl_batch.formats.units import Units
 from spl_batch.formats.vector_files import contains, read_polygons
 from spl_batch.lattice.tiles import quanta
@@ -23,6 +26,17 @@ class Context(RunContext[Workflow]):
         return Units.of(self.crs)
 
     @property
+    def shown_units(self) -> Units:
+        """Those of what is delivered: of ``outputs.units``, where it names one.
+
+        Places stay those of the survey's CRS where ``outputs.crs`` names another.
+        """
+        outputs = self.workflow.outputs
+        if outputs.units is None:
+            return self.units
+        return self.units.shown_in(outputs.units, places=outputs.crs is None)
+
+    @property
     def rasters(self) -> Path:
         """Raster cells of the working store; other cell sizes are kept apart."""
         edges = self.workflow.ground.cell_m, self.workflow.products.cell_m
@@ -31,3 +45,18 @@ class Context(RunContext[Workflow]):
     def within(self, name: str, x: NDArray[np.int64], y: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Which places, (n,) each [quanta], lie in the polygons of a file of the workflow."""
         return contains(read_polygons(self.resolve(name), self.crs), x, y)
+
+
+def reprojection(outputs: OutputSettings, crs: CRS | None) -> Reprojection | None:
+    """How clouds and rasters are written once more; None where they would be as they are.
+
+    Raises
+    ------
+    WorkflowError
+        As :class:`~spl_batch.formats.reprojection.Reprojection` does.
+    """
+    if outputs.crs is None and outputs.units is None and outputs.cell is None:
+        return None
+    found = Reprojection(crs, outputs.crs, outputs.units)
+    same = outputs.crs is None and outputs.cell is None and not found.moves_points
+    return None if same else found

@@ -101,7 +101,7 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "vertical": "no vertical CRS in the file; its heights are taken as {crs}, as of "
                 "others",
                 "unit": "nothing states the unit of heights; they are taken in {unit}, as "
-                "eastings are",
+                "eastings are (survey.vertical_crs: {codes})",
             },
             "rasters and clouds name none, or that one, or that of others",
             "write `crs: EPSG:...` or `vertical_crs: EPSG:...` under survey",
@@ -132,8 +132,8 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "seem about {seconds:.1f} s {late}; a part of each scan alone looks so, too",
                 "uncovered": "the trajectory does not cover {count:returns} between gps_time "
                 "{first_s:.3f} and {last_s:.3f}, or they do not lie below it",
-                "unit": "puts the sensor {stated_m:.0f} m above its returns in {lines}, whose "
-                "lines of sight meet {met_m:.0f} m above them: its heights seem to be in {unit}; "
+                "unit": "puts the sensor {stated_m:length} above its returns in {lines}, whose "
+                "lines of sight meet {met_m:length} above them: its heights seem to be in {unit}; "
                 "name its CRS with that of its heights, survey.trajectory_crs: {crs}",
                 "file": "{what}",
             },
@@ -173,7 +173,7 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
         "N02": Code(
             "Noise is not what its model expects",
             "away from all surfaces there is {ratio:.2f} times the noise that its model expects "
-            "between {low_m:.0f} and {high_m:.0f} m in height",
+            "between {low_m:length} and {high_m:length} in height",
             "where there is more, the filter keeps more than filter.alpha; where there is less, "
             "weak signals are lost",
             "look at the profile there; if this is linear-mode lidar, which has no such noise, set "
@@ -182,14 +182,14 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
         ),
         "N03": Code(
             "Haze or cloud was taken for noise",
-            "between {low_m:.0f} and {high_m:.0f} m in height {area_m2:.0f} m2 of air send back "
-            "{ratio:.1f} times what the model of the noise expects",
+            "between {low_m:length} and {high_m:length} in height {area_m2:.0f} m2 of air send "
+            "back {ratio:.1f} times what the model of the noise expects",
             "its returns are class 18 (7 below ground), and weak signals among them are lost",
             "look at the profile there",
         ),
         "N04": Code(
             "Signal fills the air",
-            "signals fill the air evenly over {area_m2:.0f} m2, {low_m:.0f} to {high_m:.0f} m "
+            "signals fill the air evenly over {area_m2:.0f} m2, {low_m:length} to {high_m:length} "
             "above the ground",
             "fog, haze, a cloud or noise in clusters, if no plants without gaps: it stays signal, "
             "and the DSM may lie on it",
@@ -202,8 +202,8 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             {
                 "thick": "{share:.1%} of the signal has nothing in the 15 m below it, though "
                 "something lies farther down, over {area_m2:.0f} m2",
-                "alone": "{count:cells|rise} more than {least_m} m above all but one cell of the "
-                "DSM beside them, up to {highest_m:.0f} m above the terrain",
+                "alone": "{count:cells|rise} more than {least_m:length} above all but one cell of "
+                "the DSM beside them, up to {highest_m:length} above the terrain",
             },
             "haze, a cloud, stray light or noise in clusters, if no many wires or cranes are "
             "there: it stays signal, and the DSM may lie on it",
@@ -258,8 +258,8 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "in {cell}: those with most returns are compared, the others are not",
                 "alone": "{count:flightlines|share} too few planar patches with others and stay: "
                 "{names}",
-                "far": "would have to be shifted by {up_m:.2f} m up, more than the {most_m:g} m "
-                "that are allowed: it stays",
+                "far": "would have to be shifted by {up_m:length} up, more than the "
+                "{most_m:length} that are allowed: it stays",
             },
             remedy="look at the trajectory and its datum; survey.gap_s may be shorter than pauses "
             "within a flightline",
@@ -267,8 +267,8 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
         ),
         "G01": Code(
             "Terrain is known poorly",
-            "{share:.1%} of the terrain model has a standard deviation of more than {sigma_m:g} m; "
-            "the largest place has {area_m2:.0f} m2",
+            "{share:.1%} of the terrain model has a standard deviation of more than "
+            "{sigma_m:length}; the largest place has {area_m2:.0f} m2",
             "ground returns are far there for ground so rough, or what stood there was cut off",
             "measure no heights or volumes where dtm_quality.tif says so; classify bridges, dams "
             "and crests by hand if they matter",
@@ -285,14 +285,14 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
         "G03": Code(
             "Classes of vegetation",
             "{per_m2:.2g} returns per m2 are too few for classes 3 and 4 of classes.vegetation",
-            "the ground takes shrubs and hedges lower than {high_m:g} m",
+            "the ground takes shrubs and hedges lower than {high_m:length}",
             "rest nothing on these two classes",
         ),
         "G04": Code(
             "Breaklines do not fit",
             {
                 "none": "no lake and no river covers a cell of the survey",
-                "flooded": "water stands more than {above_m:g} m above {count} of {of} cells of "
+                "flooded": "water stands more than {above_m:length} above {count} of {of} cells of "
                 "terrain beside it",
             },
             "such water is not in the rasters, or floods them",
@@ -305,12 +305,12 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "beyond": "{count:checkpoints|lie} where the terrain model has no value, and count "
                 "for nothing: {names}",
                 "blunder": "{count} of {of} checkpoints differ from the terrain by more than "
-                "{limit_cm:.0f} cm and far from the others: {names}; at worst {worst}, DTM minus "
-                "checkpoint {error_cm:.1f} cm; they count in every RMSE, so correct them, or look "
+                "{limit_m:height} and far from the others: {names}; at worst {worst}, DTM minus "
+                "checkpoint {error_m:height}; they count in every RMSE, so correct them, or look "
                 "at the terrain there",
                 "feet": "the heights of {count} checkpoints are {ratio:.3f} times those of the "
                 "terrain, as where one is in feet and the other in metres: name the CRS of their "
-                "heights, reference.checkpoints_crs: EPSG:...+5703",
+                "heights, reference.checkpoints_crs: EPSG:...+5703 ({codes})",
             },
             noun="file",
         ),

@@ -8,9 +8,8 @@ from typing import Final
 from spl_batch.airborne.plan.task_memory import task_bytes
 from spl_batch.airborne.precompile import compiling_beside
 from spl_batch.engine.plan.budget import Cost, refuse_too_large
-from spl_batch.engine.verbs.conclusion import RunResult
-from spl_batch.engine.verbs.preparing import limit_bytes
-from spl_batch.engine.verbs.running import run
+from spl_batch.engine.verbs.planning import limit_bytes
+from spl_batch.engine.verbs.running import RunResult, run
 from spl_batch.engine.verbs.simulation import simulate
 from spl_batch.engine.watch.events import Listener, ignore
 

@@ -30,7 +30,7 @@ from spl_batch.airborne.plan.inputs.findings import (
     points_astray,
     refuse_empty_area,
 )
-from spl_batch.airborne.plan.inputs.survey_inputs import gather_inputs
+from spl_batch.airborne.plan.inputs.survey_inputs import Inputs, gather_inputs
 from spl_batch.airborne.plan.strip_tasks import is_one_flightline
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import surface_reach_m
@@ -43,24 +43,22 @@ from spl_batch.airborne.store.raster_cells import create_raster_store
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.flow.warm_up import Work
-from spl_batch.engine.report.run_record import Receipts, RunFacts
-from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.tasks.input_changes import stamp_if_there
-from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.tasks.step import Step
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.engine.verbs.receiver import FirstLook, Limits, Place, Prepared, Receiver
+from spl_batch.engine.verbs.receiver import FirstLook, Prepared, Receiver
 from spl_batch.errors import WorkflowError, grouped, told_together
 from spl_batch.formats.las.header import waveform_file
 from spl_batch.formats.las.reader import promised_points
+from spl_batch.formats.units import Units, in_words
 from spl_batch.lattice.tiles import quanta
 
 
 class Imaging(Receiver[Survey, Context]):
     """Flightlines to classified clouds, terrain and surface rasters."""
 
-    workflow: ClassVar[type[BaseWorkflow]] = Workflow
-    noun: ClassVar[str] = "airborne survey"
+    ledger = Survey
+    context = Context
     delivered: ClassVar[tuple[str, ...]] = (
         *("laz/**/*", "tiles/*", "copc/**/*", "reprojected/**/*", f"{STAC}/*.json"),
         *(VIRTUAL, INDEX, CONTOURS, f"{CLIENT_TILES}/*"),
@@ -72,16 +70,10 @@ class Imaging(Receiver[Survey, Context]):
         """Compiles a share of the kernels."""
         return compile_share
 
-    def prepare(
-        self, workflow: Workflow, place: Place, limits: Limits
-    ) -> Prepared[Survey, Context]:
+    def gather(self, workflow: Workflow, base: Path, output: Path) -> Inputs:
         """Find and check every file of a workflow, from headers alone."""
-        _check_cells(workflow, place.workflow)
-        inputs = gather_inputs(workflow, place.base, place.output)
-        crs_wkt = inputs.crs.to_wkt() if inputs.crs is not None else ""
-        context = Context(workflow, place.base, place.output, crs_wkt, code_version(workflow.kind))
-        survey = Survey(inputs, workflow, limits.memory_bytes, limits.workers)
-        return Prepared(self, survey, context)
+        _check_cells(workflow)
+        return gather_inputs(workflow, base, output)
 
     def cost(self, prepared: Prepared[Survey, Context]) -> SurveyCost:
         """What a run is expected to cost."""
@@ -109,11 +101,17 @@ class Imaging(Receiver[Survey, Context]):
             ("ground cells", grouped(cost.cells)),
             ("margin", halo),
         ]
-        if not prepared.ledger.inputs.trajectory:
+        inputs, units = prepared.ledger.inputs, Units.of(prepared.ledger.inputs.crs)
+        if settings.filtering and not inputs.trajectory:
             beams = "from where lines of sight meet, by scan_angle, or vertical"
             rows.append(("trajectory", f"none: beams are taken {beams}"))
-        if settings.survey.channel_dimension is None and settings.sensor.beamlets > 1:
+        numbered = settings.survey.channel_dimension is not None or settings.sensor.beamlets == 1
+        if settings.filtering and not numbered:
             rows.append(("beamlets", "survey.channel_dimension is not set: a shot is one beamlet"))
+        if inputs.checkpoints is not None and not units.are_metres:
+            unit = in_words(units.vertical)
+            taken = f"heights in {unit}, as the survey's, unless their CRS states another unit"
+            rows.append(("checkpoints", f"{inputs.checkpoints.name}: {taken}"))
         if settings.survey.align == "vertical":
             rows.append(("alignment", "survey.align: vertical: heights of flightlines are shifted"))
         return rows
@@ -182,16 +180,6 @@ class Imaging(Receiver[Survey, Context]):
         lost = sum(s.facts.n_points for s in inputs.sources if str(s.key) not in indexed)
         return lost + sum(promised_points(Path(path)) for path in {bad.path for bad in inputs.bad})
 
-    def load_report(self) -> None:
-        """Import what a report is drawn with."""
-        import spl_batch.airborne.report.summarise  # noqa: F401, PLC0415 - a plan draws nothing
-
-    def report(self, done: Receipts, context: Context, facts: RunFacts) -> Report:
-        """Write ``report.json`` and ``report.html``."""
-        from spl_batch.airborne.report.summarise import summarise  # noqa: PLC0415 - a plan draws nothing
-
-        return summarise(done, context, facts)
-
     def screen(self, report: Report) -> list[tuple[str, str]]:
         """Label and value of each number that the console shows after a run."""
         return screen_summary(report)
@@ -212,7 +200,7 @@ RECEIVER: Final[Receiver[Any, Any]] = Imaging()
 """The one there is."""
 
 
-def _check_cells(workflow: Workflow, path: Path) -> None:
+def _check_cells(workflow: Workflow) -> None:
     """Edges are whole millimetres, and raster cells fill a ground cell."""
     edges = {
         "tiling.tile_m": workflow.tiling.tile_m,
@@ -222,6 +210,7 @@ def _check_cells(workflow: Workflow, path: Path) -> None:
     }
     faults = [
         f"{key}: {edge:g} is not a whole number of millimetres"
+        + "; outputs.cell gives rasters of whole feet" * (key == "products.cell_m")
         for key, edge in edges.items()
         if quanta(edge) < 1 or abs(edge * QUANTA_PER_M - quanta(edge)) > 1e-6
     ]
@@ -231,7 +220,7 @@ def _check_cells(workflow: Workflow, path: Path) -> None:
             f"products.cell_m ({workflow.products.cell_m:g})"
         )
     if faults:
-        raise WorkflowError(f"{path}: {'; '.join(faults)}")
+        raise WorkflowError("; ".join(faults))
 
 
 def _swath_findings(step: Step, survey: Survey) -> Iterator[Finding]:
@@ -240,9 +229,8 @@ def _swath_findings(step: Step, survey: Survey) -> Iterator[Finding]:
         cells = survey.of("strip_patches").items()
         yield from left_out_warnings({name: r.facts.get("left_out", 0) for name, r in cells})
     if step.name == "strip_pairs":
-        for receipt in survey.of("strip_pairs").values():
-            align = survey.workflow.survey.align
-            yield from offset_warnings(pairs_of(receipt.facts), align)
+        pairs = pairs_of(survey.of("strip_pairs").values())
+        yield from offset_warnings(pairs, survey.workflow.survey.align)
 
 
 def _shift_notes(survey: Survey) -> Iterator[Finding]:
@@ -250,7 +238,7 @@ def _shift_notes(survey: Survey) -> Iterator[Finding]:
     if bool(survey.of("index_file")) and is_one_flightline(survey):
         texts = ["survey.align: there is one flightline, nothing is shifted"]
     else:
-        found = (shifts_of(r.facts) for r in survey.of("align").values())
-        texts = [done_sentence(s) for s in found if not all(one.stays for one in s)]
+        found = shifts_of(survey.of("align").values())
+        texts = [] if all(one.stays for one in found) else [done_sentence(found)]
     for text in texts:
         yield Finding("E01", {"kind": "memory", "what": text})

@@ -12,8 +12,6 @@ from spl_batch.altimetry.settings import TrackWorkflow
 from spl_batch.altimetry.tasks.context import Context
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.budget import Cost
-from spl_batch.engine.report.run_record import Receipts, RunFacts
-from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.tasks.step import Step
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs.receiver import FirstLook, Prepared, Receiver, none_usable
@@ -23,8 +21,6 @@ from spl_batch.errors import grouped
 class Altimetry(Receiver[Tracks, Context]):
     """Photon files to labels and profiles."""
 
-    workflow: ClassVar[type[BaseWorkflow]] = TrackWorkflow
-    noun: ClassVar[str] = "photon profiles"
     delivered: ClassVar[tuple[str, ...]] = ("photons/**/*", "profiles/**/*", "hdf5/**/*")
 
     ledger = Tracks
@@ -78,12 +74,6 @@ class Altimetry(Receiver[Tracks, Context]):
         """Photons that headers promise which could not be read to their end [count]."""
         taken = ledger.of("take_in")
         return sum(beam.photons for _, beam, key in ledger.beams() if key not in taken)
-
-    def report(self, done: Receipts, context: Context, facts: RunFacts) -> TrackReport:
-        """Write ``report.json`` and ``report.html``."""
-        from spl_batch.altimetry.report.summarise import summarise  # noqa: PLC0415 - draws
-
-        return summarise(done, context, facts)
 
     def screen(self, report: TrackReport) -> list[tuple[str, str]]:
         """Label and value of each number that the console shows after a run."""

@@ -6,8 +6,6 @@ A verb is imported when it is asked for: planning needs no pictures, say.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from spl_batch.engine.watch.status import Follower, RunStatus, StageStatus, status
-
 if TYPE_CHECKING:
     from spl_batch.airborne.arrays.filtering import expected_noise, filter_points
     from spl_batch.airborne.arrays.labels import ExpectedNoise, Labels
@@ -17,11 +15,11 @@ if TYPE_CHECKING:
     from spl_batch.cli.view import watching
     from spl_batch.engine.verbs.beginning import Beginning, init
     from spl_batch.engine.verbs.comparing import ComparisonResult, compare
-    from spl_batch.engine.verbs.conclusion import RunResult
     from spl_batch.engine.verbs.planning import PlanSummary, plan
     from spl_batch.engine.verbs.reporting import report
-    from spl_batch.engine.verbs.running import run
+    from spl_batch.engine.verbs.running import RunResult, run
     from spl_batch.engine.verbs.simulation import simulate
+    from spl_batch.engine.watch.status import Follower, RunStatus, StageStatus, status
 
 __all__ = [
     "Beginning",
@@ -51,30 +49,24 @@ __all__ = [
 ]
 
 _HOMES = {
-    "ExpectedNoise": "spl_batch.airborne.arrays.labels",
-    "Labels": "spl_batch.airborne.arrays.labels",
-    "expected_noise": "spl_batch.airborne.arrays.filtering",
-    "filter_points": "spl_batch.airborne.arrays.filtering",
-    "Rasters": "spl_batch.airborne.arrays.surfaces",
-    "ground_points": "spl_batch.airborne.arrays.surfaces",
-    "rasterize": "spl_batch.airborne.arrays.surfaces",
-    "ComparisonResult": "spl_batch.engine.verbs.comparing",
-    "compare": "spl_batch.engine.verbs.comparing",
-    "RunResult": "spl_batch.engine.verbs.conclusion",
-    "run": "spl_batch.engine.verbs.running",
-    "PlanSummary": "spl_batch.engine.verbs.planning",
-    "plan": "spl_batch.engine.verbs.planning",
-    "report": "spl_batch.engine.verbs.reporting",
-    "Beginning": "spl_batch.engine.verbs.beginning",
-    "init": "spl_batch.engine.verbs.beginning",
-    "denoise": "spl_batch.airborne.first_use.one_file",
-    "quickstart": "spl_batch.airborne.quickstart",
-    "simulate": "spl_batch.engine.verbs.simulation",
-    "watching": "spl_batch.cli.view",
+    "spl_batch.airborne.arrays.filtering": ("expected_noise", "filter_points"),
+    "spl_batch.airborne.arrays.labels": ("ExpectedNoise", "Labels"),
+    "spl_batch.airborne.arrays.surfaces": ("Rasters", "ground_points", "rasterize"),
+    "spl_batch.airborne.first_use.one_file": ("denoise",),
+    "spl_batch.airborne.quickstart": ("quickstart",),
+    "spl_batch.cli.view": ("watching",),
+    "spl_batch.engine.verbs.beginning": ("Beginning", "init"),
+    "spl_batch.engine.verbs.comparing": ("ComparisonResult", "compare"),
+    "spl_batch.engine.verbs.planning": ("PlanSummary", "plan"),
+    "spl_batch.engine.verbs.reporting": ("report",),
+    "spl_batch.engine.verbs.running": ("RunResult", "run"),
+    "spl_batch.engine.verbs.simulation": ("simulate",),
+    "spl_batch.engine.watch.status": ("Follower", "RunStatus", "StageStatus", "status"),
 }
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
+    for module, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(module), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -14,6 +14,7 @@ from typing import Any, NoReturn
 import click
 from click.shell_completion import get_completion_class
 
+from spl_batch import api
 from spl_batch.cli import document
 from spl_batch.cli.console import say_error
 from spl_batch.errors import INTERRUPTED, SplBatchError, told_by_system
@@ -81,7 +82,6 @@ def cli() -> None:
 @limits
 def quickstart(folder: Path, **options: Any) -> int:
     """Simulate a small survey into FOLDER and run the whole chain on it."""
-    from spl_batch import api  # noqa: PLC0415 - heavy imports stay out of --help
     from spl_batch.cli import screen, view  # noqa: PLC0415
 
     with view.watching() as seen:
@@ -95,7 +95,6 @@ def quickstart(folder: Path, **options: Any) -> int:
 @OUTPUT
 def simulate(scene: Path, output: Path) -> int:
     """Fly a synthetic survey of SCENE into OUTPUT, with truth for every point."""
-    from spl_batch import api  # noqa: PLC0415
     from spl_batch.cli import screen, view  # noqa: PLC0415
 
     with view.watching() as seen:
@@ -111,7 +110,6 @@ def simulate(scene: Path, output: Path) -> int:
 @JSON
 def plan(workflow: Path, as_json: bool, **options: Any) -> int:  # noqa: FBT001 - click passes flags by name
     """Estimate what a run of WORKFLOW would do, and name what is wrong with its inputs."""
-    from spl_batch import api  # noqa: PLC0415
     from spl_batch.cli import screen  # noqa: PLC0415
 
     summary = api.plan(workflow, **options)
@@ -138,7 +136,6 @@ def run(workflow: Path, as_json: bool, **options: Any) -> int:  # noqa: FBT001 -
 
     with view.watching() as seen:
         seen.loading()
-        from spl_batch import api  # noqa: PLC0415
         from spl_batch.cli import screen  # noqa: PLC0415
 
         result = api.run(workflow, listener=seen.on_event, **options)
@@ -162,7 +159,6 @@ def run(workflow: Path, as_json: bool, **options: Any) -> int:  # noqa: FBT001 -
 @SETTINGS
 def compare(workflow: Path, methods: str, **options: Any) -> int:
     """Run several methods on the inputs of WORKFLOW: a table, and profiles side by side."""
-    from spl_batch import api  # noqa: PLC0415
     from spl_batch.cli import screen, view  # noqa: PLC0415
 
     with view.watching() as seen:
@@ -179,7 +175,6 @@ def compare(workflow: Path, methods: str, **options: Any) -> int:
 @JSON
 def status(output: Path, watch: bool, as_json: bool) -> int:  # noqa: FBT001 - click passes flags by name
     """Show what is done, running, failed and left in OUTPUT, also while a run works there."""
-    from spl_batch import api  # noqa: PLC0415
     from spl_batch.cli import screen  # noqa: PLC0415
 
     if watch and as_json:
@@ -198,7 +193,6 @@ def status(output: Path, watch: bool, as_json: bool) -> int:  # noqa: FBT001 - c
 @OUTPUT
 def report(output: Path) -> int:
     """Write the report of OUTPUT again from what is on disk."""
-    from spl_batch import api  # noqa: PLC0415
     from spl_batch.cli import screen  # noqa: PLC0415
 
     result = api.report(output)
@@ -222,7 +216,6 @@ def denoise(source: Path, target: Path, **options: Any) -> int:
     OUT.laz has every point, in order. Noise has class 7 (below the surface) or 18 (above it),
     afterpulses too; `noise_class` tells them apart. What is not given is guessed, and printed.
     """
-    from spl_batch import api  # noqa: PLC0415
     from spl_batch.cli import screen, view  # noqa: PLC0415
 
     with view.watching() as seen:
@@ -240,7 +233,6 @@ def init(folder: Path, force: bool) -> int:  # noqa: FBT001 - click passes flags
     Headers and both ends of the files are looked at: beamlet numbers, times, CRS, trajectories,
     other clouds. What they do not hold is listed, and marked with `?` in FOLDER/workflow.yaml.
     """
-    from spl_batch import api  # noqa: PLC0415
     from spl_batch.cli import screen  # noqa: PLC0415
 
     begun = api.init(folder, force=force)

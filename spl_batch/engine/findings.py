@@ -55,7 +55,8 @@ class Code:
 
     title: str
     #: By ``kind``, in which ``{name}`` is a value: ``{count:points|have}`` counts, others are
-    #: formatted as by :func:`format` (:mod:`spl_batch.engine.report.reported`).
+    #: formatted as by :func:`format`, and ``{low_m:length}`` and ``{error_m:height}`` are metres in
+    #: the unit of delivery (:mod:`spl_batch.engine.report.reported`).
     sentences: Mapping[str, str] | str
     consequence: str = ""
     remedy: str = ""
@@ -145,14 +146,8 @@ def settled(
 ) -> list[Finding]:
     """Findings that are worth a warning: none that is ignored, known, or explained by another.
 
-    Parameters
-    ----------
-    findings : iterable of Finding
-        What was found.
-    ignored : collection of str
-        Codes that a user does not want to hear of (``report.ignore``).
-    known : collection of Finding
-        What was reported before; these explain others, too.
+    ``ignored``: codes of ``report.ignore``; ``known``: what was reported before, which explains
+    others, too.
     """
     new = [one for one in findings if one.code not in ignored]
     causes: dict[str, set[str]] = {}

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from spl_batch.errors import InputError
-from spl_batch.formats.crs import crs_name, heights_ratio, other_heights
-from spl_batch.formats.units import Units
+from spl_batch.formats.units import Units, both
 from spl_batch.formats.vector_files import LINES, POLYGONS, Layer, in_crs, read_layers
 
 HEIGHT_FIELDS: Final = ("z", "height", "elevation")
@@ -63,7 +62,6 @@ def read_breaklines(path: Path, crs: CRS | None) -> list[Water]:
     parts: list[Geometries] = []
     fields: list[Heights] = []
     for layer in read_layers(path, (*POLYGONS, *LINES), fields=True):
-        _refuse_other_heights(path, layer.crs, crs)
         names += [f"{layer.name} {k}" for k in range(1, len(layer.shapes) + 1)]
         parts.append(in_crs(path, layer.shapes, layer.crs, crs, heights=True))
         fields.append(_heights(layer) * Units.of(crs).vertical_m)
@@ -75,10 +73,10 @@ def read_breaklines(path: Path, crs: CRS | None) -> list[Water]:
         raise InputError(str(path), "holds lines alone: draw the polygon of each river as well")
     lines = _merged(shapes[np.isin(kind, LINES)])
     faults: list[str] = []
-    found = []
+    found, unit = [], Units.of(crs).of_heights
     for k in np.flatnonzero(np.isin(kind, POLYGONS)):
         try:
-            found.append(_water(shapes[k], float(height[k]), lines))
+            found.append(_water(shapes[k], float(height[k]), lines, unit))
         except ValueError as fault:
             faults.append(f"{names[k]}: {fault}")
     if faults:
@@ -95,19 +93,6 @@ def _heights(layer: Layer) -> Heights:
     return heights
 
 
-def _refuse_other_heights(path: Path, own: str | None, crs: CRS | None) -> None:
-    """Refuse heights in another unit than the survey's, or above another vertical datum."""
-    if own is None:
-        return
-    theirs = CRS.from_user_input(own)
-    if heights_ratio(theirs, crs) != 1.0:
-        unit, ours = Units.of(theirs).vertical, Units.of(crs).vertical
-        text = f"its CRS {crs_name(theirs)} is in {unit}, the survey's heights are in {ours}"
-        raise InputError(str(path), f"{text}: transform it, its heights as well")
-    if crs is not None and (others := other_heights(theirs, crs)):
-        raise InputError(str(path), f"its {others}: transform them")
-
-
 def _merged(lines: Geometries) -> list[shapely.LineString]:
     """Lines that continue one another are one."""
     if not len(lines):
@@ -116,8 +101,13 @@ def _merged(lines: Geometries) -> list[shapely.LineString]:
     return [*shapely.get_parts(merged)]
 
 
-def _water(shape: shapely.Geometry, height: float, lines: list[shapely.LineString]) -> Water:
-    """What a polygon is; ValueError where its heights do not tell."""
+def _water(
+    shape: shapely.Geometry,
+    height: float,
+    lines: list[shapely.LineString],
+    unit: tuple[str, float],
+) -> Water:
+    """What a polygon is; ValueError, in the survey's unit, where its heights do not tell."""
     flat = shapely.force_2d(shape)
     area = flat if shapely.is_valid(flat) else shapely.make_valid(flat)
     inside = [line for line in lines if shapely.length(shapely.intersection(line, area)) > 0]
@@ -131,13 +121,13 @@ def _water(shape: shapely.Geometry, height: float, lines: list[shapely.LineStrin
     # A comparison with NaN, of a feature without the field, is false.
     if max(z.max() - height, height - z.min()) > LEVEL_M:
         raise ValueError(
-            f"its vertices lie at {z.min():.2f} to {z.max():.2f} m, its field of heights says "
-            f"{height:.2f} m: correct one, or leave the field out"
+            f"its vertices lie at {both(z.min(), unit)} to {both(z.max(), unit)}, its field of "
+            f"heights says {both(height, unit)}: correct one, or leave the field out"
         )
     if np.ptp(z) > LEVEL_M:
         raise ValueError(
-            f"its vertices differ by {np.ptp(z):.2f} m and no line lies in it: a lake has one "
-            "height, a river a centre line with heights"
+            f"its vertices differ by {both(np.ptp(z), unit)} and no line lies in it: a lake has "
+            "one height, a river a centre line with heights"
         )
     return Water(area, float(z.min()))
 

@@ -18,15 +18,9 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError, ProjError
 
 from spl_batch.errors import InputError, as_input_fault, counted, named
-from spl_batch.formats.crs import (
-    best_transformer,
-    crs_name,
-    heights_ratio,
-    horizontal,
-    other_heights,
-    same_crs,
-)
-from spl_batch.formats.units import Units
+from spl_batch.formats.crs import best_transformer, crs_name, horizontal, no_survey_crs, same_crs
+from spl_batch.formats.heights import completed, heights_ratio, other_heights, unknown_unit
+from spl_batch.formats.units import Units, in_words
 from spl_batch.formats.vector_files import all_layers
 
 Surface = Literal["open", "vegetated"]
@@ -78,7 +72,8 @@ def read_checkpoints(
         that GDAL reads with the same fields; there ``x``, ``y`` and, if the points are 3D, ``z``
         come from the geometry.
     own : CRS, optional
-        The file's, where neither a column ``crs`` nor the format has it; by default the survey's.
+        The file's, where neither a column ``crs`` nor the format has it, and that of heights where
+        these name none beside the same eastings; by default the survey's.
     accuracy_m : float, optional
         Accuracy of checkpoints that state none [m].
 
@@ -240,22 +235,16 @@ def _in_crs(
     for stated in dict.fromkeys(names):
         members = [k for k, name in enumerate(names) if name == stated]
         try:
-            source = CRS.from_user_input(stated) if stated else own
+            source = completed(CRS.from_user_input(stated), own) if stated else own
         except CRSError:
             why = f"the CRS {stated!r} is not known"
             remarks.append(_left_out([placed.pop(k)["id"] for k in members], why))
             continue
-        heights = source is not None and crs is not None and other_heights(source, crs)
-        if source is None or crs is None:
+        if source is None:
             continue
-        ratio = heights_ratio(source, crs)
-        if ratio is None:
-            unit, ours = Units.of(source).horizontal, Units.of(crs).horizontal
-            raise InputError(
-                str(path),
-                f"is in {unit} by {crs_name(source)}, the survey in {ours}, and nothing states the "
-                "unit of its heights: name their CRS as well, e.g. EPSG:2278+6360",
-            )
+        if crs is None:
+            raise InputError(str(path), no_survey_crs(source))
+        ratio, heights = _ratio(path, source, crs), other_heights(source, crs)
         if same_crs(source, crs) and not heights and ratio == 1.0:
             continue
         whence = f"from {crs_name(source)} to {crs_name(crs)}"
@@ -269,10 +258,20 @@ def _in_crs(
         if lost:
             remarks.append(_left_out(lost, f"they cannot be transformed {whence}"))
         if count := len(members) - len(lost):
-            how = "heights are taken as they are" if ratio == 1.0 else "heights by their unit"
-            how = "heights too" if heights else how
+            unit, ours = (in_words(Units.of(one).vertical) for one in (source, crs))
+            how = "heights too" if heights else "heights are taken as they are"
+            how = how if unit == ours else f"heights from {unit} to {ours}"
             remarks.append(f"{counted(count, 'checkpoints', 'are')} transformed {whence}; {how}")
     return list(placed.values())
+
+
+def _ratio(path: Path, source: CRS, crs: CRS) -> float:
+    """Units of the survey's heights in one of the file's; InputError where nothing states it."""
+    ratio = heights_ratio(source, crs)
+    if ratio is None:
+        fault = unknown_unit(source, crs, "name it in reference.checkpoints_crs:")
+        raise InputError(str(path), fault)
+    return ratio
 
 
 def _transformed(

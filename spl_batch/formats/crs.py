@@ -13,11 +13,17 @@ from pyproj.exceptions import CRSError, ProjError
 from pyproj.transformer import TransformerGroup
 
 from spl_batch.errors import WorkflowError, named
-from spl_batch.formats.units import Units, metres_in
+from spl_batch.formats.units import FOOT, METRE, US_FOOT, Units, in_words, metres_in
 
 WKT_KEY: Final = ("LASF_Projection", 2112)
+LIBLAS_KEY: Final = ("liblas", 2112)
+"""Records of WKT: that of LAS, and that which libLAS and early PDAL wrote beside GeoTIFF keys."""
+
 NAMELESS: Final = ("", "unknown", "unnamed")
 """Names that GDAL gives to a vertical CRS of which keys have the unit only."""
+
+_SHORT: Final = {METRE: "m", FOOT: "ft", US_FOOT: "ftUS"}
+"""Units as EPSG's names of CRS have them."""
 
 DEGREES_ACROSS: Final = 5.0
 """Extent from which on coordinates that could be degrees are taken as metres."""
@@ -63,7 +69,7 @@ def projected_crs(text: str | None, key: str, faults: list[str]) -> CRS | None:
         return None
     units = Units.of(crs)
     unit = units.vertical if units.horizontal_m == 1.0 else units.horizontal
-    other = [f"CRS {crs_name(crs)} is in {unit}, not in metres: name one that is"]
+    other = [f"CRS {crs_name(crs)} is in {in_words(unit)}, not in metres: name one that is"]
     found = crs_problems(crs) or other * (not units.are_metres)
     faults += [f"{key}: {problem}" for problem in found]
     return crs
@@ -128,6 +134,35 @@ def compound(crs: CRS, heights: CRS) -> CRS:
     return CompoundCRS(f"{flat.name} + {heights.name}", [flat, heights])
 
 
+def in_unit(crs: CRS, name: str) -> CRS:
+    """A CRS with the same datum, projection and origin whose axes, heights too, are in a unit.
+
+    It is EPSG's where that has one, as EPSG:6587 beside EPSG:6588.
+
+    Parameters
+    ----------
+    crs : CRS
+        Projected, local, vertical, or a compound of such.
+    name : str
+        Unit of lengths by PROJ's name, which PROJ knows.
+    """
+    heights = vertical(crs)
+    if heights is not None:
+        return compound(in_unit(horizontal(crs), name), in_unit(heights, name))
+    content = crs.to_json_dict()
+    content.pop("id", None)
+    for axis in content["coordinate_system"]["axis"]:
+        axis["unit"] = {"type": "LinearUnit", "name": name, "conversion_factor": metres_in(name)}
+    if crs.name not in NAMELESS and not crs.is_engineering:
+        for short in _SHORT.values():
+            content["name"] = content["name"].removesuffix(f" ({short})")
+        content["name"] += "" if name == METRE else f" ({_SHORT.get(name, name)})"
+    made = CRS.from_json_dict(content)
+    twin = made.to_epsg()
+    known = made if twin is None else CRS.from_epsg(twin)
+    return known if known.equals(made, ignore_axis_order=True) else made
+
+
 def same_heights(a: CRS, b: CRS) -> bool:
     """Whether two vertical CRS have the same datum and unit, whatever their names.
 
@@ -142,24 +177,9 @@ def same_heights(a: CRS, b: CRS) -> bool:
     return alike or bool({a.name, b.name} & {*NAMELESS})
 
 
-def other_heights(found: CRS, survey: CRS) -> str:
-    """What heights of a CRS are, where they are not the survey's; empty where they may be."""
-    one, other = vertical(found), vertical(survey)
-    if one is None or other is None or same_heights(one, other):
-        return ""
-    return f"heights are {crs_name(one)}, the survey's {crs_name(other)}"
-
-
-def heights_ratio(found: CRS, survey: CRS | None) -> float | None:
-    """Units of the survey's heights in one of those of a CRS.
-
-    Heights without a unit of their own are the survey's, but where eastings are in another unit
-    than the survey's: then nothing tells, and it is None.
-    """
-    mine, ours = Units.of(found), Units.of(survey)
-    if vertical(found) is not None or len(found.axis_info) > 2:
-        return mine.vertical_m / ours.vertical_m
-    return 1.0 if found.is_geographic or mine.horizontal_m == ours.horizontal_m else None
+def no_survey_crs(found: CRS) -> str:
+    """Fault of a file with a CRS beside a survey without one."""
+    return f"is in {crs_name(found)}, the survey has no CRS: name it in survey.crs"
 
 
 def same_crs(a: CRS, b: CRS) -> bool:
@@ -173,9 +193,35 @@ def same_crs(a: CRS, b: CRS) -> bool:
 
 def other_crs(found: CRS, survey: CRS) -> str:
     """Sentence about a CRS that is not the survey's."""
+    text = f"CRS {found.name!r} is not the survey's {survey.name!r}"
     if found.name == survey.name:
-        return f"CRS {found.name!r} has other parameters than the survey's of that name"
-    return f"CRS {found.name!r} is not the survey's {survey.name!r}"
+        text = f"CRS {found.name!r} has other parameters than the survey's of that name"
+    return f"{text} ({apart})" if (apart := differences(found, survey)) else text
+
+
+def differences(a: CRS, b: CRS) -> str:
+    """In which parameters two projections differ, with the values of both, the first three."""
+    one, other = _parameters(a), _parameters(b)
+    apart = [key for key in one if key in other and one[key][0] != other[key][0]]
+    apart = [key for key in apart if key != "datum"] or apart  # of which names are many
+    return named([f"{key} {one[key][1]} against {other[key][1]}" for key in apart], 3)
+
+
+def _parameters(crs: CRS) -> dict[str, tuple[str, str]]:
+    """Parts of a projected CRS by name: as they are compared, and in words."""
+    flat, unit = horizontal(crs), Units.of(crs).horizontal
+    found = {"unit": (unit, unit)}
+    operation = flat.coordinate_operation
+    if operation is not None and flat.is_projected:
+        found["method"] = (operation.method_code or operation.method_name, operation.method_name)
+        for one in operation.params:
+            if isinstance(one.value, str):
+                continue  # the name of a grid
+            value = f"{one.value * one.unit_conversion_factor:.9g}"
+            found[one.name] = (value, f"{one.value:.10g} {one.unit_name}")
+    if flat.datum is not None:
+        found["datum"] = (flat.datum.name, flat.datum.name)
+    return found
 
 
 def crs_name(crs: CRS) -> str:
@@ -313,8 +359,8 @@ def best_transformer(source: CRS, target: CRS) -> Transformer:
     grids = [grid.short_name for one in group.unavailable_operations[:1] for grid in one.grids]
     if not group.best_available:
         files = " ".join(f"--file {name}" for name in grids)
-        how = f"lacks {named(grids)}, which `pyproj sync {files}` fetches"
-        raise ProjError(f"the best transformation: PROJ {how if grids else 'knows none'}")
+        how = f"lacks what `pyproj sync {files}` fetches" if grids else "knows none"
+        raise ProjError(f"the best transformation: PROJ {how}")
     return Transformer.from_crs(
         source, target, always_xy=True, only_best=True, allow_ballpark=False
     )

@@ -12,7 +12,7 @@ from pyproj.exceptions import ProjError
 
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.crs import crs_name, horizontal, vertical, with_vertical
-from spl_batch.formats.units import Units
+from spl_batch.formats.units import Units, in_words
 
 KEY: Final = "outputs.geoid.grid"
 
@@ -90,11 +90,14 @@ class Geoid:
             eastings = self._units.horizontal
             if unit != eastings:
                 raise WorkflowError(
-                    f"{key}: heights are in {unit}, eastings in {eastings}: name a vertical CRS, "
+                    f"{key}: heights are in {in_words(unit)}, eastings in {in_words(eastings)}: "
+                    "name a vertical CRS, "
                     "so that files state the unit of heights above the geoid"
                 )
             return self._flat
         found = with_vertical(self._flat, vertical_crs, key)
         if Units.of(found).vertical != unit:
-            raise WorkflowError(f"{key}: {vertical_crs} is not in {unit}, as heights are; name one")
+            raise WorkflowError(
+                f"{key}: {vertical_crs} is not in {in_words(unit)}, as heights are: name one"
+            )
         return found

@@ -14,8 +14,8 @@ from pyproj.exceptions import CRSError
 from rasterio.errors import RasterioError, RasterioIOError
 from rasterio.io import MemoryFile
 
-from spl_batch.formats.crs import NAMELESS, compound, horizontal, vertical
-from spl_batch.formats.units import METRE, US_FOOT, Units, metres_in
+from spl_batch.formats.crs import NAMELESS, compound, horizontal, in_unit, vertical
+from spl_batch.formats.units import METRE, Units, metres_in
 
 GEO_KEYS: Final = (
     ("LASF_Projection", 34735),
@@ -28,9 +28,6 @@ _VERTICAL_CRS_KEY: Final = 4096
 _VERTICAL_UNIT_KEY: Final = 4099
 _LINEAR_UNIT_KEY: Final = 3076
 """GeoTIFF keys of heights and of lengths [OGC 19-008r4, B.4]."""
-
-_SHORT: Final = {"foot": "ft", US_FOOT: "ftUS", METRE: "m"}
-"""Units as names of EPSG's vertical CRS have them."""
 
 _SOME_HEIGHTS: Final = CRS.from_wkt('VERT_CS["unknown",VERT_DATUM["unknown",2005],UNIT["metre",1]]')
 """What a unit of heights alone tells of."""
@@ -50,11 +47,11 @@ def crs_from_geotiff(directory: bytes, doubles: bytes, text: bytes) -> CRS | Non
     if found is None:
         return None
     flat, code = horizontal(found), keys.get(_VERTICAL_CRS_KEY, 0)
+    unit = keys.get(_VERTICAL_UNIT_KEY)
     if flat.is_engineering:
         flat = _in_unit(flat, keys.get(_LINEAR_UNIT_KEY))
     if 5000 < code < 5034:  # heights above an ellipsoid, by a code of GeoTIFF 1.0, 6.3.4.1
-        return flat.to_3d()
-    unit = keys.get(_VERTICAL_UNIT_KEY)
+        return _in_unit(flat.to_3d(), unit)
     heights = vertical(found) or _vertical_crs(code) or (_SOME_HEIGHTS if unit else None)
     if heights is None:
         return flat
@@ -73,18 +70,22 @@ def _vertical_crs(code: int) -> CRS | None:
 
 
 def _in_unit(crs: CRS, code: int | None) -> CRS:
-    """A local or vertical CRS in a unit by its code; metres, GDAL's default, are none to be set."""
+    """A local or vertical CRS, or heights of a 3D one, in a unit by its code.
+
+    Metres, GDAL's default, are none to be set.
+    """
     units = get_units_map(auth_name="EPSG", category="linear").items()
     name = next((name for name, unit in units if unit.code == str(code)), METRE)
     metres, own = metres_in(name) or 1.0, Units.of(crs)
-    if metres in {1.0, own.vertical_m if crs.is_vertical else own.horizontal_m}:
+    deep = len(crs.axis_info) > 2
+    if metres in {1.0, own.vertical_m if deep or crs.is_vertical else own.horizontal_m}:
         return crs
+    if not deep:
+        return in_unit(crs, name)
     content = crs.to_json_dict()
     content.pop("id", None)
-    if crs.is_vertical and crs.name not in NAMELESS:
-        content["name"] += f" ({_SHORT.get(name, name)})"
-    for axis in content["coordinate_system"]["axis"]:
-        axis["unit"] = {"type": "LinearUnit", "name": name, "conversion_factor": metres}
+    unit = {"type": "LinearUnit", "name": name, "conversion_factor": metres}
+    content["coordinate_system"]["axis"][2]["unit"] = unit
     return CRS.from_json_dict(content)
 
 

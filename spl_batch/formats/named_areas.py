@@ -1,7 +1,8 @@
 """Polygons with names, such as a client's tiles: no two have the same name or share an area.
 
 A point belongs to the one that it lies in. Areas own their western and southern edges, so that a
-point on a line that two share belongs to one of them.
+point on a line that two share belongs to one of them. It is looked up in the unit of its file, in
+which a client's whole feet are whole.
 """
 
 import re
@@ -16,13 +17,14 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from spl_batch.errors import InputError, named
-from spl_batch.formats.vector_files import POLYGONS, contains, in_crs, read_layers
+from spl_batch.formats.vector_files import POLYGONS, in_crs, read_layers
 
 SLIVER_M: Final = 0.001
 """Half the width of an overlap that rounding explains; it belongs to the first area [m]."""
 
-NUDGE_Q: Final = (0.25, 0.125)
-"""By so much a point is moved east and north before it is looked up, off all edges [quanta]."""
+NUDGE: Final = (1e-6, 3e-7)
+"""By so much a point is moved east and north before it is looked up, off all edges [m or ft]: more
+than rounding of coordinates, and less than any scale of a cloud."""
 
 _FILE_NAME: Final = re.compile(r"(?!.*\.$)\w[\w .+()-]{0,99}(?<! )")
 """Names that every file system takes."""
@@ -32,7 +34,7 @@ class NamedArea(NamedTuple):
     """An area."""
 
     name: str
-    shape: shapely.Geometry  #: In the survey's CRS.
+    shape: shapely.Geometry  #: In the survey's CRS, as metres.
 
 
 def read_named_areas(path: Path, crs: CRS | None, field: str) -> list[NamedArea]:
@@ -118,7 +120,8 @@ def lies_in(
     shape : Geometry
         Of a :class:`NamedArea`, prepared.
     x, y : (n,)
-        Coordinates [quanta].
+        Coordinates, in the unit of the shape.
     """
-    east, north = NUDGE_Q
-    return contains(shape, x + east, y + north)
+    east, north = NUDGE
+    inside: NDArray[np.bool_] = shapely.contains_xy(shape, x + east, y + north)
+    return inside

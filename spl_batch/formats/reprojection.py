@@ -1,11 +1,11 @@
-"""Delivered clouds and rasters in another CRS, places by PROJ, heights too where it names them."""
+"""Delivered clouds and rasters in another CRS or unit, places by PROJ, heights too where named."""
 
-import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 from pyproj.enums import TransformDirection
@@ -16,12 +16,14 @@ from rasterio.windows import Window
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.crs import (
+    LIBLAS_KEY,
     WKT_KEY,
     best_transformer,
     compound,
     crs_name,
     crs_problems,
     horizontal,
+    in_unit,
     parse_crs,
     same_crs,
     same_heights,
@@ -34,10 +36,19 @@ from spl_batch.formats.las.frame import Frame, preamble, wkt_vlr, write_laz
 from spl_batch.formats.las.header import WKT_BIT, read_header
 from spl_batch.formats.las.records import EXTRA_BYTES_KEY, HEIGHT, added
 from spl_batch.formats.rasters.geotiff import write_cog
-from spl_batch.formats.rasters.parts import BLOCK, centres, opened, read_part, windows
-from spl_batch.formats.units import Units
+from spl_batch.formats.rasters.parts import (
+    BLOCK,
+    cells_between,
+    centres,
+    opened,
+    read_part,
+    windows,
+)
+from spl_batch.formats.units import NAMES, Units
 
 KEY: Final = "outputs.crs"
+
+UNITS_KEY: Final = "outputs.units"
 
 _CHUNK: Final = 500_000
 """Points that are converted at once [count]."""
@@ -49,10 +60,20 @@ Places = NDArray[np.float64]
 
 
 class Reprojection:
-    """From the CRS of a survey to one that a user names.
+    """From the CRS of a survey to one that a user names, or to the same in another unit.
 
     Heights change where both name a vertical CRS; without one in the target they stay above what
-    they are, in the survey's unit.
+    they are, in the survey's unit unless one is named.
+
+    Parameters
+    ----------
+    survey : CRS or None
+        Of what is delivered.
+    text : str or None
+        What PROJ takes as the target; by default the survey's CRS.
+    unit : str or None
+        Of all axes of the target, a key of :data:`~spl_batch.formats.units.NAMES`; by default as
+        it has them.
 
     Raises
     ------
@@ -60,15 +81,15 @@ class Reprojection:
         If the survey has no CRS, the named one does not serve, or heights would have to be guessed.
     """
 
-    def __init__(self, survey: CRS | None, text: str) -> None:
-        named = parse_crs(text, KEY)
-        faults = crs_problems(named)
-        if not faults and not horizontal(named).is_projected:
-            faults = [f"{crs_name(named)} is no CRS on earth"]
-        if faults:
-            raise WorkflowError("; ".join(f"{KEY}: {fault}" for fault in faults))
+    def __init__(self, survey: CRS | None, text: str | None, unit: str | None = None) -> None:
+        #: Key of the workflow that asks for it.
+        self.key = UNITS_KEY if text is None else KEY
+        named = None if text is None else _named(text)
         if survey is None or not horizontal(survey).is_projected:
-            raise WorkflowError(f"{KEY}: the survey has no CRS on earth: name it in survey.crs")
+            raise WorkflowError(
+                f"{self.key}: the survey has no CRS on earth: name it in survey.crs"
+            )
+        named = named or survey
         mine, wanted = vertical(survey), vertical(named)
         if wanted is not None and mine is None:
             raise WorkflowError(
@@ -76,14 +97,14 @@ class Reprojection:
                 "are above: name it in survey.vertical_crs; from the ellipsoid to a geoid leads "
                 "outputs.geoid"
             )
-        self.crs = named if wanted is not None or mine is None else compound(named, mine)
+        same = mine is None or wanted is None or same_heights(mine, wanted)
+        whole = named if wanted is not None or mine is None else compound(named, mine)
+        self.crs = whole if unit is None else in_unit(whole, NAMES[unit])
         self._to, self._survey = Units.of(self.crs), survey
         #: Units of the target's heights in one of the survey's.
         self._ratio = Units.of(survey).vertical_m / self._to.vertical_m
-        self._flat = self._transformer(horizontal(survey), horizontal(named))
-        self._whole: Transformer | None = None
-        if mine is not None and wanted is not None and not same_heights(mine, wanted):
-            self._whole = self._transformer(survey, named)
+        self._flat = self._transformer(horizontal(survey), horizontal(self.crs))
+        self._whole = None if same else self._transformer(survey, self.crs)
 
     def _transformer(self, source: CRS, target: CRS) -> Transformer:
         try:
@@ -93,14 +114,15 @@ class Reprojection:
 
     def _unreachable(self, reason: str) -> WorkflowError:
         return WorkflowError(
-            f"{KEY}: cannot be reached from {crs_name(self._survey)} ({reason}): name another CRS, "
-            "or give PROJ the grid that it lacks"
+            f"{self.key}: cannot be reached from {crs_name(self._survey)} ({reason}): name another "
+            "CRS, or give PROJ the grid that it lacks"
         )
 
     @property
     def moves_points(self) -> bool:
         """Whether clouds differ from those in the survey's CRS."""
-        return self._whole is not None or not same_crs(self._survey, self.crs)
+        heights = self._whole is not None or self._ratio != 1.0
+        return heights or not same_crs(self._survey, self.crs)
 
     def in_units(self, length_m: float) -> float:
         """A length in metres, in the target's unit."""
@@ -115,7 +137,7 @@ class Reprojection:
         else:
             if np.isfinite(moved).all():
                 if problem := stretch_problem(self.crs, self._to.metres(moved[:, :2])):
-                    raise WorkflowError(f"{KEY}: {problem[0]}")
+                    raise WorkflowError(f"{self.key}: {problem[0]}")
                 return
             reason = "a corner of the survey has no place there"
         raise self._unreachable(reason)
@@ -128,13 +150,21 @@ class Reprojection:
         x, y = self._flat.transform(x, y)
         return np.column_stack([x, y, z * self._ratio])
 
+    def shape(self, shape: shapely.Geometry) -> shapely.Geometry:
+        """A shape with its vertices in the target, from the unit of the survey's CRS."""
+
+        def moved(xy: Places) -> Places:
+            return np.column_stack(self._flat.transform(*xy.T))
+
+        return shapely.transform(shape, moved)
+
     def cloud(self, src: Path, dst: Path) -> int:
         """Write a delivered cloud to a thousandth of the unit, all dimensions kept; its points.
 
         Heights above ground are in the target's unit.
         """
         header = read_header(src)
-        dropped = {LASZIP_KEY, EXTRA_BYTES_KEY, WKT_KEY, *GEO_KEYS}
+        dropped = {LASZIP_KEY, EXTRA_BYTES_KEY, WKT_KEY, LIBLAS_KEY, *GEO_KEYS}
         corners = self.places(np.array([header.mins_m, header.maxs_m], np.float64))
         offsets = np.floor(corners.mean(axis=0) / 1000.0) * 1000.0 if header.n_points else [0.0] * 3
         offset_x, offset_y, offset_z = map(float, offsets)
@@ -182,8 +212,9 @@ class Reprojection:
         west, south, east, north = self._flat.transform_bounds(
             left, bottom, right, top, densify_pts=_EDGE_POINTS
         )
-        column, row = math.floor(west / cell), math.ceil(north / cell)
-        shape = row - math.floor(south / cell), math.ceil(east / cell) - column
+        column, last = cells_between(west / cell, east / cell)
+        first, row = cells_between(south / cell, north / cell)
+        shape = row - first, last - column
         corner = column * cell, row * cell
 
         def blocks() -> Iterator[tuple[int, int, NDArray[np.float32]]]:
@@ -210,6 +241,17 @@ class Reprojection:
             description=meaning,
             unit=unit,
         )
+
+
+def _named(text: str) -> CRS:
+    """CRS that a user names as a target; WorkflowError where it is none for that."""
+    named = parse_crs(text, KEY)
+    faults = crs_problems(named)
+    if not faults and not horizontal(named).is_projected:
+        faults = [f"{crs_name(named)} is no CRS on earth"]
+    if faults:
+        raise WorkflowError("; ".join(f"{KEY}: {fault}" for fault in faults))
+    return named
 
 
 def _sampled(path: Path, xy_m: Places) -> Places:

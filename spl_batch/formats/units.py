@@ -3,8 +3,10 @@
 Coordinates of a CRS times :class:`Units` are metres on the same axes: a pure factor, no projection.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from types import MappingProxyType
 from typing import Final, Self
 
 import numpy as np
@@ -13,12 +15,19 @@ from pyproj import CRS
 from pyproj.database import get_units_map
 
 from spl_batch.constants import FOOT_M, US_FOOT_M
+from spl_batch.errors import grouped
 
 METRE: Final = "metre"
+FOOT: Final = "foot"
 US_FOOT: Final = "US survey foot"
 
-_COMMON: Final = {METRE: 1.0, "foot": FOOT_M, US_FOOT: US_FOOT_M}
+NAMES: Final[Mapping[str, str]] = MappingProxyType({"m": METRE, "ft": FOOT, "us-ft": US_FOOT})
+"""PROJ's names of the units that a workflow can name."""
+
+COMMON: Final = {METRE: 1.0, FOOT: FOOT_M, US_FOOT: US_FOOT_M}
 """Units of deliveries by PROJ's names [m]; files name them in many ways, with as many digits."""
+
+_IN_WORDS: Final = {METRE: "metres", "foot": "feet", US_FOOT: "US survey feet"}
 
 _SAME_UNIT: Final = 5e-7
 """Relative difference within which a unit is one of these: both feet differ by 2e-6."""
@@ -40,6 +49,12 @@ class Units:
         Heights that no vertical axis has a unit for are in that of eastings.
         """
         return cls() if crs is None else cls(*_of_wkt(crs.to_wkt()))
+
+    def shown_in(self, key: str, *, places: bool) -> Self:
+        """The same with heights in a unit of :data:`NAMES`, and with ``places`` these too."""
+        name = NAMES[key]
+        flat = (name, COMMON[name]) if places else (self.horizontal, self.horizontal_m)
+        return type(self)(*flat, name, COMMON[name])
 
     @property
     def are_metres(self) -> bool:
@@ -75,6 +90,20 @@ def _written(name: str) -> str:
     return "ft" if name.endswith("foot") else "m" if name == METRE else name
 
 
+def in_words(unit: str) -> str:
+    """A unit by PROJ's name, as a sentence has it: ``US survey feet``."""
+    return _IN_WORDS.get(unit, unit)
+
+
+def both(metres: float, unit: tuple[str, float], digits: int = 2) -> str:
+    """A length in a survey's unit with metres beside, ``12.30 ft (3.75 m)``; of metres these alone.
+
+    ``unit``: its name, and the metres in it, as of :attr:`Units.of_heights`.
+    """
+    (name, unit_m), text = unit, f"{grouped(metres, digits)} m"
+    return text if unit_m == 1.0 else f"{grouped(metres / unit_m, digits)} {name} ({text})"
+
+
 METRES: Final = Units()
 """Of a CRS in metres, and of everything between reading and writing."""
 
@@ -94,7 +123,7 @@ def _of_wkt(wkt: str) -> tuple[str, float, str, float]:
 
 def _named(name: str, metres: float) -> tuple[str, float]:
     """A unit by its common name, if it has one, and the metres in it."""
-    for common, exact in _COMMON.items():
+    for common, exact in COMMON.items():
         if abs(metres / exact - 1.0) < _SAME_UNIT:
             return common, exact
     return name, metres
@@ -103,7 +132,7 @@ def _named(name: str, metres: float) -> tuple[str, float]:
 @lru_cache(maxsize=64)
 def metres_in(unit: str) -> float | None:
     """Metres in a unit by PROJ's name; None of one that PROJ does not know."""
-    if unit in _COMMON:
-        return _COMMON[unit]
+    if unit in COMMON:
+        return COMMON[unit]
     known = get_units_map(auth_name="EPSG", category="linear").get(unit)
     return None if known is None else float(known.conv_factor)

@@ -15,12 +15,13 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from pyproj import CRS, Transformer
+from pyproj import CRS
 from pyproj.exceptions import CRSError, ProjError
 
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import InputError, as_input_fault, named
-from spl_batch.formats.crs import crs_name, horizontal, same_crs
+from spl_batch.formats.crs import best_transformer, horizontal, no_survey_crs, same_crs
+from spl_batch.formats.heights import heights_fault
 from spl_batch.formats.las.header import open_input
 from spl_batch.formats.units import Units
 
@@ -36,6 +37,9 @@ _REFERRING: Final = (b"<ogr", b"<vrtdataset", b"wfs_capabilities", b"gdal_stream
 
 _HEAD_BYTES: Final = 1 << 16
 """Start of a file that is looked at; GDAL looks at no more to know such formats [byte]."""
+
+_REMEDY: Final = "write a CRS that does into it, e.g. with ogr2ogr -a_srs"
+"""What states the unit of heights in a file of shapes; a code follows."""
 
 Geometries = NDArray[Any]
 
@@ -183,7 +187,8 @@ def in_crs(
     Raises
     ------
     InputError
-        If one of both has no CRS, or they cannot be transformed.
+        If one of both has no CRS, heights that are kept are in another unit or above another
+        datum, or nothing states their unit, or they cannot be transformed.
     """
     if own is None and crs is None:
         return shapes
@@ -194,27 +199,28 @@ def in_crs(
     except CRSError:
         raise InputError(str(path), f"its CRS {own!r} is not known; write another") from None
     if crs is None:
-        raise InputError(
-            str(path), f"is in {crs_name(source)}, the survey has no CRS: name it in survey.crs"
-        )
+        raise InputError(str(path), no_survey_crs(source))
+    if heights and (fault := heights_fault(source, crs, _REMEDY)):
+        raise InputError(str(path), fault)
     units, known = Units.of(crs), same_crs(source, crs)
     if known and units.are_metres:
         return shapes
-    transformer = Transformer.from_crs(horizontal(source), horizontal(crs), always_xy=True)
 
     def move(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
         x, y = xyz[:, 0], xyz[:, 1]
         if not known:
-            x, y = transformer.transform(x, y, errcheck=True)
+            x, y = best_transformer(horizontal(source), horizontal(crs)).transform(
+                x, y, errcheck=True
+            )
         return units.metres(np.column_stack([x, y, xyz[:, 2:]]))
 
     try:
         moved: Geometries = shapely.transform(shapes, move, include_z=heights)
-    except ProjError:
+    except ProjError as error:
         raise InputError(
             str(path),
-            f"cannot be transformed from {crs_name(source)} to {crs_name(crs)}; check the order of "
-            "its axes",
+            f"cannot be transformed from {source.name} to {crs.name} ({error}): check the order of "
+            "its axes, or write it in the survey's CRS",
         ) from None
     return moved
 

@@ -97,23 +97,6 @@ def test_points_on_tile_edges() -> None:
     assert all_rows(found) == all_rows(whole)
 
 
-def test_one_point_source_id_in_two_lifts_is_two_flightlines() -> None:
-    early = surveys.flightline(shots=40)
-    later = surveys.flightline(shots=40, start_s=surveys.START_S + 200, seed=3)
-    report, _ = run_clouds({"both": surveys.join(later, early)}, report=True)
-    assert [x.id for x in report.survey.flightlines] == ["00001_371000000", "00001_371000200"]
-    assert [x.points for x in report.survey.flightlines] == [len(early["x"]), len(later["x"])]
-
-
-def test_tiles_without_points_between_tiles_with_some() -> None:
-    near = surveys.flightline(shots=30)
-    far = surveys.flightline(
-        shots=30, psid=2, origin_m=(surveys.ORIGIN_M[0] + 900.0, surveys.ORIGIN_M[1])
-    )
-    _, found = run_clouds({"near": near, "far": far}, tiling={"tile_m": 20.0})
-    assert unassessed(found) == 0
-
-
 def test_withheld_and_vendor_flagged_points_are_carried_and_counted() -> None:
     line = surveys.flightline(shots=60)
     rng = np.random.default_rng(1)

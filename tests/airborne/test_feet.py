@@ -18,6 +18,7 @@ from spl_batch.airborne.report import summarise
 from spl_batch.constants import NODATA
 from spl_batch.engine.findings import Finding
 from spl_batch.errors import grouped
+from spl_batch.formats.units import METRES, US_FOOT, Units
 from tests import surveys
 
 pytestmark = pytest.mark.slow
@@ -46,7 +47,19 @@ def twins(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
         text = f"id,x,y,z,accuracy_m\nA,{x:.6f},{y:.6f},{20.2 / unit_m:.6f},0.01\n"
         (folder / "checkpoints.csv").write_text(text)
     outputs = {"tiles": "copc", "crs": FEET, "cell": 3}
-    in_metres = surveys.write_workflow(metres, reference={"checkpoints": "checkpoints.csv"})
+    # A client of the metric survey wants feet: tiles with edges at whole ones.
+    x, y = np.rint(np.divide(surveys.ORIGIN_M, US_M))
+    tiles = [shapely.box(x - 60, y - 60, x + 6, y + 60), shapely.box(x + 6, y - 60, x + 18, y + 60)]
+    drawn = shapely.to_wkb(shapely.transform(tiles, lambda xy: xy * US_M))
+    pyogrio.raw.write(
+        metres / "tiles.gpkg", drawn, [np.array(["A", "B"], object)], ["name"],
+        geometry_type="Polygon", crs=surveys.CRS_NAME,
+    )  # fmt: skip
+    in_metres = surveys.write_workflow(
+        metres,
+        reference={"checkpoints": "checkpoints.csv"},
+        outputs={"units": "us-ft", "cell": 3, "client_tiles": {"polygons": "tiles.gpkg"}},
+    )
     in_feet = surveys.write_workflow(
         feet, reference={"checkpoints": "checkpoints.csv"}, outputs=outputs
     )
@@ -74,9 +87,9 @@ def test_rasters_are_the_same_to_a_tenth_of_a_millimetre(twins: tuple[Path, Path
 
 def test_the_report_states_the_units(twins: tuple[Path, Path]) -> None:
     metres, feet = (json.loads((out / "report.json").read_text()) for out in twins)
-    assert metres["survey"]["units"]["vertical"] == "metre"
-    assert feet["survey"]["units"]["vertical"] == "US survey foot"
-    assert feet["survey"]["units"]["horizontal_m"] == US_M
+    for one in (metres, feet):
+        assert one["survey"]["units"]["vertical"] == US_FOOT
+        assert one["survey"]["units"]["horizontal_m"] == US_M
     (ours,), (theirs,) = (found["checkpoints"]["points"] for found in (metres, feet))
     assert theirs["error_m"] == pytest.approx(ours["error_m"], abs=1e-4)
     assert theirs["x_m"] == pytest.approx(ours["x_m"], abs=1e-5)
@@ -127,6 +140,38 @@ def test_whole_feet_and_points_by_tile(twins: tuple[Path, Path]) -> None:
     given = np.concatenate([surveys.laspy.read(p).xyz for p in (output / "laz").rglob("*.laz")])
     assert len(points) == len(given)
     assert np.abs(points.mean(axis=0) - given.mean(axis=0)).max() < 0.002
+
+
+def test_a_metric_survey_is_delivered_in_feet_too(twins: tuple[Path, Path]) -> None:
+    output, feet = twins[0], Units(US_FOOT, US_M, US_FOOT, US_M)
+    for path in sorted((output / "laz").rglob("*.laz")):
+        given = surveys.laspy.read(path)
+        made = surveys.laspy.read(output / "reprojected" / path.relative_to(output))
+        assert Units.of(given.header.parse_crs()) == METRES
+        assert Units.of(made.header.parse_crs()) == feet
+        assert np.abs(made.xyz - given.xyz / US_M).max() < 0.00051
+        np.testing.assert_array_equal(made.classification, given.classification)
+    with (
+        rasterio.open(output / "dtm.tif") as metric,
+        rasterio.open(output / "reprojected" / "dtm.tif") as source,
+    ):
+        assert (source.transform.a, source.transform.c % 3.0, source.units) == (3, 0, (US_FOOT,))
+        assert Units.of(CRS.from_wkt(source.crs.to_wkt())) == feet
+        rows, columns = np.nonzero(source.read(1) != NODATA)
+        x, y = source.xy(rows, columns)
+        heights = source.read(1)[rows, columns] * US_M
+        there = np.array([v[0] for v in metric.sample(np.column_stack([x, y]) * US_M)])
+    assert np.abs(heights - there)[there != NODATA].max() < 0.1
+    tiles = {name: surveys.laspy.read(output / "client_tiles" / f"{name}.laz") for name in "AB"}
+    middle = np.rint(surveys.ORIGIN_M[0] / US_M) + 6
+    assert Units.of(tiles["A"].header.parse_crs()) == feet
+    assert tiles["A"].x.max() < middle <= tiles["B"].x.min()
+    made = np.concatenate([las.points["x"] for las in map(surveys.laspy.read, sorted(
+        (output / "reprojected" / "laz").rglob("*.laz")))])  # fmt: skip
+    assert len(tiles["A"]) == np.count_nonzero(made < middle)
+    assert len(tiles["B"]) == np.count_nonzero((made >= middle) & (made < middle + 12))
+    with rasterio.open(output / "client_tiles" / "A_dtm.tif") as source:
+        assert (source.transform.a, source.units) == (3.0, (US_FOOT,))
 
 
 def test_one_file_in_feet(twins: tuple[Path, Path], tmp_path: Path) -> None:

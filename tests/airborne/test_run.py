@@ -17,7 +17,7 @@ from spl_batch.airborne.noise import line_noise as line_noise_stage
 from spl_batch.airborne.simulate.file_writers import write_polygons
 from spl_batch.constants import NODATA
 from spl_batch.engine.store.output_lock import locked
-from spl_batch.engine.verbs import preparing
+from spl_batch.engine.verbs import planning
 from spl_batch.engine.watch.events import PhaseStarted, TaskEnded
 from tests import surveys
 
@@ -350,7 +350,7 @@ def test_a_plan_tells_whose_share_of_the_memory_is_too_little_or_too_much(
     tiny_survey: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     workflow = surveys.copy_of(tiny_survey, tmp_path)
-    monkeypatch.setattr(preparing, "machine_memory", lambda: 2 * 2**30)
+    monkeypatch.setattr(planning, "machine_memory", lambda: 2 * 2**30)
     ended = surveys.command("plan", workflow, "--workers", 4)
     assert ended.status == 2
     assert "the share of each of 4 workers, 256 MiB" in ended.err

@@ -16,10 +16,7 @@ from matplotlib.figure import Figure
 from spl_batch.altimetry.plan import gather_inputs
 from spl_batch.altimetry.report.pictures import TrackAxis
 from spl_batch.altimetry.report.summarise import of_labels
-from spl_batch.altimetry.settings import TrackWorkflow
-from spl_batch.altimetry.simulate import simulate_file
 from spl_batch.engine.settings.workflow_file import parse_any
-from spl_batch.errors import WorkflowError
 from tests import surveys
 from tests.altimetry.tracks import (
     f1,
@@ -30,7 +27,6 @@ from tests.altimetry.tracks import (
     write_csv,
     write_workflow,
 )
-from tests.workflow_files import unshown
 
 ROOT = Path(__file__).parents[2]
 
@@ -361,18 +357,3 @@ def test_photons_without_a_height_and_beams_without_photons(tmp_path: Path) -> N
     left_out = labels(tmp_path / "out", "a/gt1r")["signal"] == 255
     assert np.flatnonzero(left_out).tolist() == [100, 101, 102, 103]
     assert len(labels(tmp_path / "out", "a/gt3r")["signal"]) == 0
-
-
-def test_the_workflow_file_names_every_key_with_its_default() -> None:
-    text = (ROOT / "workflows/altimetry.yaml").read_text(encoding="utf-8")
-    assert unshown(text, TrackWorkflow) == []
-    given = parse_any(yaml.safe_load(text), "altimetry.yaml").model_dump()
-    bare = {"kind": "altimetry", "track": {"photons": "photons/*.h5"}, "reference": {}}
-    assert given == parse_any({**bare, "output": "out"}, "bare").model_dump()
-
-
-def test_a_scene_with_a_key_that_is_none_is_refused(tmp_path: Path) -> None:
-    wrong = tmp_path / "scene.yaml"
-    wrong.write_text("kind: altimetry\ntrack: {lenght_m: 5}\n")
-    with pytest.raises(WorkflowError, match="length_m"):
-        simulate_file(wrong, tmp_path)

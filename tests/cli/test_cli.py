@@ -67,22 +67,6 @@ def test_version_and_module_entry() -> None:
 
 @pytest.mark.usefixtures("_workflows")
 @pytest.mark.parametrize(
-    "arguments",
-    [
-        ["nonsense"],
-        ["run"],
-        ["run", "a", "b"],
-        ["run", "a", "--workers", "many"],
-    ],
-)
-def test_wrong_usage_is_status_2(arguments: list[str]) -> None:
-    ended = surveys.command(*arguments)
-    assert ended.status == 2
-    assert "Error: " in ended.err
-
-
-@pytest.mark.usefixtures("_workflows")
-@pytest.mark.parametrize(
     ("error", "status"),
     [
         (SplBatchError("wrong"), 2),

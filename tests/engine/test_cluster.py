@@ -11,15 +11,21 @@ from unittest.mock import MagicMock
 
 import pytest
 from distributed import Client, LocalCluster
+from distributed.scheduler import KilledWorker
 
+from spl_batch.airborne.settings.workflow import parse_workflow
 from spl_batch.airborne.steps import STEPS
 from spl_batch.engine.flow import cluster, dask_flow, job
 from spl_batch.engine.flow.cluster import OnDask
-from spl_batch.engine.flow.job import Handshake
+from spl_batch.engine.store.output_lock import lock_file
 from spl_batch.engine.tasks import runner
+from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.task import Job, Outcome, Receipt, Task
 from spl_batch.engine.watch.events import WorkersReady
 from spl_batch.errors import StoppedError
+
+WORKFLOW = parse_workflow({"survey": {"flightlines": "a"}, "output": "o"}, "w")
+CONTEXT = RunContext(WORKFLOW, Path(), Path(), "", "code", "of this run")
 
 # The flow of jobs, on workers that are threads of this process
 
@@ -71,25 +77,24 @@ def done(one: Job, _: object) -> Outcome:
 def flow_through(
     threads: LocalCluster, todo: list[list[Job]], monkeypatch: pytest.MonkeyPatch, do: Any
 ) -> tuple[list[Outcome], Watcher]:
-    """Let batches flow; ``do`` is what workers do with a job and with what it waited for."""
-    before: dict[Any, Receipt] = {}
-
-    def done(one: Job, _context: object, needed: Any, run: str) -> Outcome:
-        outcome: Outcome = do(one, needed)
-        if outcome.receipt and outcome.receipt.failed:
-            before[one.need] = replace(outcome.receipt, facts={"run": run})
-        return outcome
-
-    monkeypatch.setattr(job, "do", done)
-    monkeypatch.setattr(job, "read_receipt", lambda _store, *need: before.get(need))
-    watcher, found = Watcher(), []
-    context = SimpleNamespace(store=None)
+    """Let batches flow, and what failed once more; ``do`` is what workers do with a job and with
+    what it waited for.
+    """
+    monkeypatch.setattr(job, "do", lambda one, _context, needed: do(one, needed))
+    watcher, found = Watcher(), list[Outcome]()
     with Client(threads) as client:
-        on_dask = OnDask(lambda: client, watcher, Handshake("", "", "", "mark"), local=False)
+        on_dask = OnDask(lambda: client, CONTEXT, watcher, local=False)
         try:
-            for one in todo:
-                on_dask.submit(one, context)  # type: ignore[arg-type]
-            found = [outcome for _ in todo for outcome in on_dask.ended()]
+            for some in todo:
+                on_dask.submit(some)
+            known, open_ = {one.need: one for some in todo for one in some}, len(todo)
+            while open_:
+                open_ -= 1
+                for outcome in on_dask.ended():
+                    if outcome.again and not known[outcome.need].open:
+                        on_dask.submit([known[outcome.need]._replace(tried=outcome.again)])
+                        open_ += 1
+                    found.append(outcome)
         finally:
             on_dask.close()
     return found, watcher
@@ -108,10 +113,20 @@ def test_a_failure_is_tried_once_more(
         return Outcome(one.need, made)
 
     found, watcher = flow_through(threads, apart(jobs(8)), monkeypatch, do)
-    assert sorted(o.need[1] for o in found) == sorted(one.task.name for one in jobs(8))
+    ended = [o.need[1] for o in found if o.again is None]
+    assert sorted(ended) == sorted(one.task.name for one in jobs(8))
     assert [o.need[1] for o in found if o.receipt and o.receipt.failed] == ["3_0"]
+    assert sorted(o.need[1] for o in found if o.again) == ["3_0", "5_0"]
     assert len(tries) == 10
     assert {name for name, _ in watcher.began} == {one.task.name for one in jobs(8)}
+
+
+def test_the_first_task_of_a_batch_is_told_whatever_the_clock_says(
+    threads: LocalCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(job, "time", SimpleNamespace(monotonic=lambda: 0.0))
+    _, watcher = flow_through(threads, [jobs(3)], monkeypatch, done)
+    assert [name for name, _ in watcher.began] == ["0_0"]
 
 
 def test_a_job_is_given_what_it_waits_for_as_a_value(
@@ -144,10 +159,12 @@ def test_of_a_batch_only_what_fails_is_done_again_and_what_waits_for_it_as_well(
     later = [Job(Task("ground", one.task.name, {"noise": {}}), "", (one.need,)) for one in first]
     do = lambda one, needed: runner.do(one, SimpleNamespace(), needed)  # type: ignore[arg-type]  # noqa: E731
     found, watcher = flow_through(threads, [first, later], monkeypatch, do)
-    again = {("denoise", "1_0"), ("ground", "1_0")}
-    assert {o.need for o in found if o.again} == again
-    assert [o.need for o in found] == [one.need for one in (*first, *later)]
-    assert [name for name, _ in watcher.began] == ["0_0", "0_0"], "others follow within no time"
+    again = {("denoise", "1_0"): ("failed",), ("ground", "1_0"): ()}
+    assert {o.need: o.again for o in found if o.again is not None} == again
+    assert [o.need for o in found[:6]] == [one.need for one in (*first, *later)]
+    assert [o.receipt and o.receipt.reason for o in found[6:]] == ["no"], "by itself"
+    began = [name for name, _ in watcher.began]
+    assert began == ["0_0", "0_0", "1_0"], "others follow within no time"
 
 
 def test_the_tasks_of_a_batch_that_cannot_be_done_are_tried_one_by_one(
@@ -158,14 +175,14 @@ def test_the_tasks_of_a_batch_that_cannot_be_done_are_tried_one_by_one(
 
     found, _ = flow_through(threads, [jobs(2)], monkeypatch, do)
     assert [(o.need[1], o.again, o.receipt) for o in found] == [
-        ("0_0", True, None),
-        ("1_0", True, None),
+        ("0_0", (), None),
+        ("1_0", (), None),
     ]
 
 
 def test_small_tasks_are_shared_among_the_workers(threads: LocalCluster) -> None:
     with Client(threads) as client:
-        on_dask = OnDask(lambda: client, Watcher(), Handshake("", "", "", ""), local=False)
+        on_dask = OnDask(lambda: client, CONTEXT, Watcher(), local=False)
         assert on_dask.batch_of(300) == 1
         on_dask._begin()
         assert [on_dask.batch_of(n) for n in (3, 40, 10_000)] == [1, 10, dask_flow.BATCH_TASKS]
@@ -183,7 +200,7 @@ def test_a_task_knows_the_limit_of_its_worker(
 
 def test_the_window_follows_the_workers(threads: LocalCluster) -> None:
     with Client(threads) as client:
-        on_dask = OnDask(lambda: client, Watcher(), Handshake("", "", "", ""), local=False)
+        on_dask = OnDask(lambda: client, CONTEXT, Watcher(), local=False)
         on_dask._begin()
         assert on_dask.window == dask_flow.HELD_LEAST
         threads.scale(6)
@@ -218,15 +235,15 @@ def test_a_worker_that_does_not_see_the_mark_of_a_run_is_no_use(
 ) -> None:
     monkeypatch.setattr(job, "code_version", lambda _: "code")
     waits: list[float] = []
-    mark = tmp_path / "lock"
-    shake = Handshake("imaging", "code", str(mark), "of this run")
+    lock = lock_file(tmp_path)
+    lock.parent.mkdir()
+    context = replace(CONTEXT, output=tmp_path)
     for content, fault in (("of another", True), ("of this run", False)):
         monkeypatch.setattr(job.time, "sleep", waits.append)
-        mark.write_text(content)
-        job.misfit.cache_clear()
-        assert ("must share that path" in job.misfit(shake)) == fault
+        lock.write_text(content)
+        job._unseen.cache_clear()
+        assert ("must share that path" in job.misfit(context)) == fault
     assert sum(waits) > 5.0, "a file system may be slow"
-    job.misfit.cache_clear()
 
 
 def test_a_task_that_cannot_be_done_fails_alone(
@@ -240,6 +257,26 @@ def test_a_task_that_cannot_be_done_fails_alone(
     found, _ = flow_through(threads, apart(jobs(3)), monkeypatch, do)
     failed = {o.need[1]: o.receipt.reason for o in found if o.receipt and o.receipt.failed}
     assert failed == {"1_0": "LookupError: nothing of the kind here"}
+
+
+def test_a_task_that_another_may_have_killed_is_handed_out_once_more(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What it waited for has ended by then: it is to be made anew, not to miss that."""
+    monkeypatch.setattr(dask_flow, "HEARING_S", 0.0)
+    monkeypatch.setattr(dask_flow, "write_receipt", lambda *_: None)
+    on_dask = OnDask(lambda: None, CONTEXT, Watcher(), local=True)
+    last = SimpleNamespace(address="there", nthreads=2, memory_limit=2**30)
+    one, tried = Job(Task("ground", "0_0", {}), "", (("denoise", "0_0"),)), list[Any]()
+    for _ in range(2):
+        trial = dask_flow._Trial({one.need: one}, SimpleNamespace(key="k", status="error"))
+        (outcome,) = on_dask._outcomes(trial.future, (None, KilledWorker("k", last, 1)), trial)
+        tried.append(outcome.again)
+        one = one._replace(tried=outcome.again or ())
+    assert tried == [("killed",), None]
+    assert outcome.receipt is not None
+    assert outcome.receipt.facts["code"] == "F04"
+    assert outcome.receipt.reason.startswith("LostWorker: 2 workers died with it")
 
 
 # Workers that do not end in time spoil no run whose tasks are done
@@ -260,11 +297,11 @@ def pool(monkeypatch: pytest.MonkeyPatch) -> Any:
     idle = lambda connect, *_, **__: SimpleNamespace(begin=connect, close=lambda: None)  # noqa: E731
     monkeypatch.setattr(cluster, "OnDask", idle)
     return lambda observer: cluster.executor(
+        CONTEXT,
         workers=1,
         memory_bytes=2**30,
         scheduler=None,
         observer=observer,
-        handshake=Handshake("imaging", "code", "mark", "content"),
     )
 
 

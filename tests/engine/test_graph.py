@@ -32,7 +32,7 @@ class Pool:
     def batch_of(self, count: int) -> int:
         return min(count, 3)
 
-    def submit(self, jobs: Sequence[Job], _: object) -> None:
+    def submit(self, jobs: Sequence[Job]) -> None:
         self.batches.append([job.task.name for job in jobs])
         self.waiting.append(jobs)
 
@@ -42,7 +42,7 @@ class Pool:
     def _done(self, job: Job) -> Outcome:
         if job.task.name in self.fails:
             self.fails.remove(job.task.name)
-            return Outcome(job.need, None, again=True)
+            return Outcome(job.need, None, again=("failed",))
         receipt = Receipt(job.task.kind, job.task.name, job.key, "d", "", {}, {}, 0, 0.0, 0.0)
         return Outcome(job.need, receipt)
 

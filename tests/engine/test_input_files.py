@@ -75,7 +75,7 @@ def test_results_of_files_of_one_name_are_told_apart() -> None:
     [
         ("moon", "survey.crs: 'moon' is not a known CRS"),
         ("EPSG:4326", "is geographic (degrees)"),
-        ("EPSG:2277", "US survey foot"),
+        ("EPSG:2277", "US survey feet"),
     ],
 )
 def test_a_crs_that_does_not_serve_is_one_fault_among_others(text: str, says: str) -> None:

@@ -6,12 +6,11 @@ from pathlib import Path
 import pytest
 
 from spl_batch import api
-from spl_batch.engine.store.deliveries import Deliveries
 from spl_batch.engine.store.working_store import write_json, write_receipt
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs import simulation
-from spl_batch.engine.verbs.output_owner import gone_inputs, this_survey, usable
-from spl_batch.engine.verbs.preparing import prepare
+from spl_batch.engine.verbs.output_owner import Deliveries, usable
+from spl_batch.engine.verbs.planning import prepare
 from spl_batch.engine.verbs.receiver import Prepared
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.files.atomic import checksum, size
@@ -38,7 +37,7 @@ def begun(workflow: Path) -> tuple[Prepared, Deliveries]:
     """A survey whose first run has delivered a cloud and a raster, and was then killed."""
     run = prepared(workflow)
     deliveries = usable(run)
-    deliveries.begin(this_survey(run))
+    deliveries.begin()
     for kind, name in (("deliver_file", "laz/1.laz"), ("mosaic", "dtm.tif")):
         path = run.context.output / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -81,14 +80,14 @@ def test_what_a_run_does_not_make_is_deleted_if_it_is_as_written(
     out, mine = tmp_path / "out", tmp_path / "out/laz/mine.laz"
     mine.write_bytes(b"mine")
     run.ledger.done.pop("mosaic")
-    assert list(deliveries.withdraw(run.ledger, failed=True)) == []
+    assert list(deliveries.withdraw(failed=True)) == []
     assert deliveries.spared == ["dtm.tif"]
     (out / "dtm.tif").write_bytes(b"changed")
-    assert list(deliveries.withdraw(run.ledger, failed=False)) == []
+    assert list(deliveries.withdraw(failed=False)) == []
     run, deliveries = begun(survey)
     run.ledger.done.pop("mosaic")
     os.utime(out / "dtm.tif", (0, 0))  # another time, but the same bytes
-    (text,) = deliveries.withdraw(run.ledger, failed=False)
+    (text,) = deliveries.withdraw(failed=False)
     assert "dtm.tif" in text
     assert not (out / "dtm.tif").exists()
     assert (out / "laz/1.laz").exists()
@@ -98,14 +97,14 @@ def test_what_a_run_does_not_make_is_deleted_if_it_is_as_written(
 def test_a_record_that_is_gone_is_made_of_receipts(survey: Path, tmp_path: Path) -> None:
     run, deliveries = begun(survey)
     (tmp_path / "out/delivered.json").write_text("{}")
-    assert Deliveries(run.context).files == deliveries.files
+    assert Deliveries(run).files == deliveries.files
 
 
 def test_inputs_that_are_gone_are_named(survey: Path, tmp_path: Path) -> None:
     begun(survey)
-    assert not [*gone_inputs(prepared(survey), usable(prepared(survey)))]
+    assert not [*usable(prepared(survey)).gone_inputs()]
     (tmp_path / "lines/2.laz").unlink()
-    (found,) = gone_inputs(prepared(survey), usable(prepared(survey)))
+    (found,) = usable(prepared(survey)).gone_inputs()
     assert found.values == {"kind": "gone", "files": ["2.laz"]}
 
 

@@ -91,7 +91,7 @@ def test_records_of_another_version_are_named(
     context = SimpleNamespace(code=code, workflow=SimpleNamespace(kind="imaging"), output=tmp_path)
     monkeypatch.setattr(reporting, "refuse_no_output", lambda *_: None)
     monkeypatch.setattr(reporting, "recalled", lambda _: ({}, context, None))
-    monkeypatch.setattr(reporting, "receiver", lambda _: SimpleNamespace(report=fails))
+    monkeypatch.setattr(reporting, "summariser", lambda _: fails)
     # a fault of this version's own is no other's
     with pytest.raises(KeyError if same else StoreError):
         reporting.report(tmp_path)

@@ -21,14 +21,16 @@ from spl_batch.airborne.plan.task_memory import (
 )
 from spl_batch.airborne.settings.workflow import parse_workflow
 from spl_batch.airborne.steps import STEPS
+from spl_batch.constants import FOOT_M
 from spl_batch.engine.plan import budget, worker_memory
 from spl_batch.engine.plan.worker_memory import usable_bytes
 from spl_batch.engine.report.run_record import RunFacts, StageCost, performance
 from spl_batch.engine.store.working_store import Store, write_receipt
 from spl_batch.engine.tasks import runner
 from spl_batch.engine.tasks.ledger import Shelf
-from spl_batch.engine.tasks.task import Receipt, Task
-from spl_batch.engine.tasks.worklist import Worklist
+from spl_batch.engine.tasks.task import Job, Outcome, Receipt, Task
+from spl_batch.engine.verbs.graph import Worklist
+from spl_batch.formats.units import METRES, Units
 from spl_batch.lattice.density import from_counts
 from spl_batch.lattice.tiles import CellId
 
@@ -101,6 +103,15 @@ def test_what_a_task_needs_decides_whether_it_waits_or_is_left_out(tmp_path: Pat
     job = work.job(task)
     assert job is not None
     assert job.key == runner.task_key(task, context(tmp_path), ("d0_0", "d1_0"))
+
+
+def test_a_job_goes_back_only_where_what_it_waits_for_is_done_again(tmp_path: Path) -> None:
+    needs = (("denoise", "0_0"), ("denoise", "1_0"))
+    job = Job(Task("ground", "a", {}, needs), "", needs[:1])
+    for need, again in ((needs[0], ("failed",)), (needs[0], None), (needs[1], ("failed",))):
+        outcome = runner.do(job, context(tmp_path), [Outcome(need, None, again=again)])
+        assert (outcome.again is not None) == (again is not None and need in job.open)
+        assert not outcome.again, "its own tries, none"
 
 
 def test_a_cell_goes_without_labels_of_what_failed(tmp_path: Path) -> None:
@@ -187,6 +198,17 @@ def test_a_surface_cell_of_many_raster_cells_asks_for_larger_ones() -> None:
         assert surface.remedy == remedy
 
 
+def test_the_fullest_place_is_named_in_the_unit_of_the_survey() -> None:
+    pieces = list(from_counts({CellId(3, 5): 10**6}, 100_000))
+    foot = Units("foot", FOOT_M, "foot", FOOT_M)
+    for units, place in (
+        (METRES, "tile around x 350, y 550 with"),
+        (foot, "tile around x 1148, y 1804 ft (x 350, y 550 m) with"),
+    ):
+        found = needs(pieces, WORKFLOW, [10**6], 1, units=units)
+        assert any(place in one.task for one in found), found
+
+
 def test_a_trajectory_of_any_length_fits_and_a_tile_needs_what_its_task_is_given(
     tmp_path: Path,
 ) -> None:
@@ -230,5 +252,5 @@ def test_a_plan_counts_what_many_small_files_take_beside_their_points() -> None:
         sources = tuple(SimpleNamespace(facts=facts, key=k) for k in range(files))
         inputs = Inputs(sources, (), (), ReferenceFiles((), ()), None, ())  # type: ignore[arg-type]
         times.append(estimate(Survey(inputs, WORKFLOW, 2**32, 2)).time_s)
-    assert times[0] < 2
+    assert times[0] < 10
     assert 30 < times[1] < 300

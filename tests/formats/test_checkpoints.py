@@ -93,7 +93,8 @@ def test_another_crs_is_transformed_and_an_unknown_one_left_out(tmp_path: Path) 
     [
         ("", "EPSG:2278+6360", 100 * 1200 / 3937),
         ("EPSG:2278+5703", "EPSG:2278+6360", 100.0),
-        ("EPSG:2278", "EPSG:2278+5703", 100.0),
+        ("EPSG:2278", "EPSG:2278+5703", None),
+        ("EPSG:2278", "EPSG:2278+6360", 100 * 1200 / 3937),
         ("EPSG:2278+6360", "EPSG:32140", 100 * 1200 / 3937),
         ("EPSG:2278", "EPSG:32140", None),
     ],
@@ -104,13 +105,24 @@ def test_feet_are_converted_by_the_unit_that_is_stated_and_refused_without(
     path, crs = tmp_path / "c.csv", CRS.from_user_input(survey)
     path.write_text(f"id,x,y,z,crs\nA,3100000,13800000,100,{file}\n")
     if z_m is None:
-        with pytest.raises(InputError, match="nothing states the unit of its heights"):
+        with pytest.raises(InputError, match=r"no unit of heights.* reference\.checkpoints_crs"):
             read_checkpoints(path, crs)
+        ((point,), remarks) = read_checkpoints(path, crs, own=CRS(f"{file}+6360"))
+        assert point.z_m == pytest.approx(100 * 1200 / 3937, abs=1e-9)
+        assert "heights from US survey feet to metres" in remarks[0]
         return
     ((point,), _) = read_checkpoints(path, crs)
     assert point.z_m == pytest.approx(z_m, abs=1e-9)
     if survey.startswith("EPSG:2278"):
         assert point.x_m == pytest.approx(3_100_000 * 1200 / 3937, abs=1e-6)
+
+
+@pytest.mark.parametrize("stated", ["EPSG:2278+6360", "EPSG:32615"])
+def test_a_crs_beside_a_survey_without_one_is_refused(tmp_path: Path, stated: str) -> None:
+    path = tmp_path / "c.csv"
+    path.write_text(f"id,x,y,z,crs\nA,3100000,13800000,100,{stated}\n")
+    with pytest.raises(InputError, match=r"the survey has no CRS: name it in survey\.crs"):
+        read_checkpoints(path, None)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """CRS: what suits the work, what does not, and that messages say why."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,7 @@ from pyproj import CRS
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.crs import (
     crs_problems,
-    heights_ratio,
-    other_heights,
+    other_crs,
     same_crs,
     same_heights,
     stretch_problem,
@@ -20,6 +20,7 @@ from spl_batch.formats.crs import (
     with_vertical,
 )
 from spl_batch.formats.geotiff_keys import GEO_KEYS, crs_from_geotiff
+from spl_batch.formats.heights import completed, heights_fault, heights_ratio, other_heights
 from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.formats.units import US_FOOT, Units
 
@@ -83,6 +84,15 @@ def test_same_crs() -> None:
     assert same_crs(utm, CRS.from_wkt(utm.to_wkt("WKT1_ESRI")))
     assert not same_crs(utm, CRS.from_epsg(32616))
     assert not same_crs(utm, CRS.from_epsg(4326))
+
+
+def test_the_parameter_that_differs_is_named() -> None:
+    right = CRS("EPSG:2992").to_wkt("WKT1_GDAL")
+    wrong = CRS(right.replace("1312335.958", "400000"))
+    said = other_crs(wrong, CRS(right))
+    assert "has other parameters than the survey's of that name" in said
+    assert "(Easting at false origin 400000 foot against 1312335.958 foot)" in said
+    assert "against" not in other_crs(CRS(right), CRS("EPSG:2992"))
 
 
 def test_a_named_vertical_crs_completes_that_of_the_files(tmp_path: Path) -> None:
@@ -170,6 +180,12 @@ def test_vertical_crs_of_geotiff_keys() -> None:
         with_vertical(crs, "EPSG:5773", "survey.vertical_crs")
 
 
+def test_heights_above_an_ellipsoid_are_in_the_unit_of_their_key() -> None:
+    found = Units.of(_keys((1024, 1), (3072, 2278), (4096, 5030), (4099, 9003)))
+    assert (found.horizontal, found.vertical) == (US_FOOT, US_FOOT)
+    assert Units.of(_keys((1024, 1), (3072, 2278), (4096, 5030))).vertical == "metre"
+
+
 def test_a_unit_of_heights_alone_is_no_vertical_crs() -> None:
     crs = _keys((1024, 1), (3072, 32615), (4099, 9001))
     assert crs is not None
@@ -211,8 +227,13 @@ def test_heights_that_are_not_the_surveys(found: str, *, differ: bool) -> None:
         ("EPSG:2278+6360", "EPSG:32615+5703", 1200 / 3937),
         ("EPSG:2278+6360", "EPSG:32615", 1200 / 3937),
         ("EPSG:4979", "EPSG:2992+8228", 1 / 0.3048),
-        ("EPSG:4326", "EPSG:2992", 1.0),
-        ("EPSG:2278", "EPSG:2278+5703", 1.0),
+        ("EPSG:4326", "EPSG:32615", 1.0),
+        ("EPSG:4326", "EPSG:2992", None),
+        ("EPSG:2278", "EPSG:2278+6360", 1.0),
+        ("EPSG:2278", "EPSG:2278+5703", None),
+        ("EPSG:2278", "EPSG:32140+6360", 1.0),
+        ("EPSG:32140", "EPSG:2278+5703", 1.0),
+        ("EPSG:32140", "EPSG:32140+6360", None),
         ("EPSG:2278", "EPSG:32615+5703", None),
         ("EPSG:2992", "EPSG:2278", None),
     ],
@@ -221,6 +242,36 @@ def test_heights_are_in_a_unit_that_is_stated_or_the_surveys(
     found: str, survey: str, ratio: float | None
 ) -> None:
     assert heights_ratio(*map(CRS.from_user_input, (found, survey))) == ratio
+
+
+@pytest.mark.parametrize(
+    ("found", "stated", "wanted"),
+    [
+        ("EPSG:2278", None, "EPSG:2278"),
+        ("EPSG:2278", "EPSG:2278+5703", "EPSG:2278+5703"),
+        ("EPSG:2278+6360", "EPSG:2278+5703", "EPSG:2278+6360"),
+        ("EPSG:2278", "EPSG:32140+5703", "EPSG:2278"),
+    ],
+)
+def test_a_user_states_what_a_file_leaves_open(found: str, stated, wanted: str) -> None:
+    known = completed(CRS(found), None if stated is None else CRS(stated))
+    assert known == CRS(wanted)
+
+
+@pytest.mark.parametrize(
+    ("found", "survey", "fault"),
+    [
+        ("EPSG:2278", "EPSG:2278+5703", "EPSG:2278.* US survey feet .* metres: remedy EPSG:2278"),
+        ("EPSG:4326", "EPSG:2278+6360", "degrees .* US survey feet: remedy EPSG:4326.6360 .*8228"),
+        ("EPSG:2278+6360", "EPSG:2278+5703", "in US survey feet .* the survey's in metres"),
+        ("EPSG:32615+5773", "EPSG:32615+5703", "heights are .*EPSG:5773.*transform"),
+        ("EPSG:2278", "EPSG:2278+6360", ""),
+        ("EPSG:32615+5703", "EPSG:32615", ""),
+    ],
+)
+def test_heights_are_no_ones_to_guess(found: str, survey: str, fault: str) -> None:
+    said = heights_fault(CRS(found), CRS(survey), "remedy")
+    assert re.search(fault, said) if fault else not said
 
 
 def test_heights_with_the_grid_of_a_geoid_are_those_of_their_datum() -> None:

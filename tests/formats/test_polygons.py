@@ -54,6 +54,14 @@ def test_reprojected(tmp_path: Path) -> None:
         assert area.symmetric_difference(square).area < 0.01
 
 
+def test_a_missing_grid_is_named_in_place_of_the_next_best_operation(tmp_path: Path) -> None:
+    path = write(
+        tmp_path / "a.gpkg", [shapely.box(400_000, 300_000, 401_000, 301_000)], "EPSG:27700"
+    )
+    with pytest.raises(InputError, match=r"pyproj sync --file uk_os_OSTN15_NTv2_OSGBtoETRS\.tif"):
+        read_polygons(path, CRS.from_epsg(25830))
+
+
 def test_every_layer_and_only_polygons(tmp_path: Path) -> None:
     path = tmp_path / "a.gpkg"
     write(path, [shapely.box(0, 0, 1, 1)], layer="one")

@@ -112,29 +112,19 @@ def test_a_record_that_cannot_be_is_left_out_of_any_format(tmp_path: Path, latit
 
 def test_faults(tmp_path: Path) -> None:
     rows = flight()
-    bad = rows.copy()
-    bad[7:15, 2] = np.nan
-    late = rows.copy()
-    late[5:12, 0] = 1e300
     cases = {
-        "first is record 5": write_csv(tmp_path / "k.csv", late),
         "no such file": tmp_path / "missing.csv",
         "no column gps_time": write_csv(tmp_path / "a.csv", rows, "time,x,y,z"),
-        "first is record 7": write_csv(tmp_path / "b.csv", bad),
         "at least 2": write_csv(tmp_path / "c.csv", rows[:1]),
         "multiple of 136": tmp_path / "d.sbet",
         "not an SBET": tmp_path / "e.sbet",
         "not a Parquet": tmp_path / "f.parquet",
-        "1 of 2 records cannot be used (no finite number, a": tmp_path / "g.csv",
         "no column gps_time, x, y, z": tmp_path / "h.csv",
-        "1 of 2 records cannot be used (no finite number": tmp_path / "i.csv",
     }
     (tmp_path / "d.sbet").write_bytes(bytes(137))
     np.full(17 * 4, 45.0).tofile(tmp_path / "e.sbet")
     (tmp_path / "f.parquet").write_bytes(b"PAR1 and then nonsense")
-    (tmp_path / "g.csv").write_text("gps_time,x,y,z\n1,2,3,4\n5,6,seven,8\n")
     (tmp_path / "h.csv").write_bytes(bytes(range(256)) * 10)
-    (tmp_path / "i.csv").write_text("gps_time,x,y,z\n1,2,3,4\n5,6,,8\n")
     for words, path in cases.items():
         with pytest.raises(InputError) as caught:
             read(path)

@@ -9,16 +9,16 @@ import rasterio
 from pyproj import CRS, Transformer
 
 from spl_batch.constants import FOOT_M, NODATA, QUANTUM_M
-from spl_batch.errors import WorkflowError
-from spl_batch.formats.crs import compound
+from spl_batch.errors import InputError, WorkflowError
+from spl_batch.formats.crs import compound, horizontal, in_unit, vertical
 from spl_batch.formats.geoid import Geoid
 from spl_batch.formats.las.reader import inspect, iter_points
 from spl_batch.formats.las.writer import write_points
 from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.formats.rasters.parts import overview_frame, read_overview, read_part
 from spl_batch.formats.reprojection import Reprojection
-from spl_batch.formats.trajectory.positions import gathering
-from spl_batch.formats.units import METRES, US_FOOT, Units
+from spl_batch.formats.trajectory.positions import PointExtent, gathering
+from spl_batch.formats.units import COMMON, METRES, NAMES, US_FOOT, Units
 from tests import surveys
 from tests.formats.test_geoid import write_grid
 
@@ -94,6 +94,13 @@ def test_a_trajectory_in_the_surveys_feet_is_read_in_metres(tmp_path: Path, name
     with gathering([path], survey_crs=crs, trajectory_crs=named) as found:
         ((_, xyz),) = found
     np.testing.assert_allclose(xyz[1], np.array([3_000_100, 13_000_000, 6000]) * US_M, atol=1e-6)
+    points = PointExtent((1.0, 2.0), (0.0, 13_000_000 * US_M, 100.0, 13_000_000 * US_M))
+    told = r"x 3000050, y 13000000 ft is 2 999 672 ft \(914 302 m\) from the points"
+    with (
+        pytest.raises(InputError, match=told),
+        gathering([path], survey_crs=crs, trajectory_crs=named, points=points) as found,
+    ):
+        list(found)
 
 
 def test_a_geoid_below_a_survey_in_feet(tmp_path: Path) -> None:
@@ -105,13 +112,77 @@ def test_a_geoid_below_a_survey_in_feet(tmp_path: Path) -> None:
     above = geoid.heights(there[0] * US_M, there[1] * US_M)
     np.testing.assert_allclose(above, Geoid(name, tmp_path / name, utm).heights(x, y), atol=1e-6)
     assert Units.of(geoid.crs_above("EPSG:6360")).vertical == US_FOOT
-    with pytest.raises(WorkflowError, match="is not in US survey foot"):
+    with pytest.raises(WorkflowError, match="is not in US survey feet"):
         geoid.crs_above("EPSG:5703")
     heights = 'VERT_CS["Ellipsoid (metre)",VERT_DATUM["Ellipsoid",2002],UNIT["metre",1]]'
     mixed = Geoid(name, tmp_path / name, compound(feet, CRS.from_wkt(heights)))
     assert Units.of(mixed.crs_above("EPSG:5703")).vertical_m == 1.0
-    with pytest.raises(WorkflowError, match="heights are in metre, eastings in US survey foot"):
+    with pytest.raises(WorkflowError, match="heights are in metres, eastings in US survey feet"):
         mixed.crs_above(None)
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "twin"),
+    [
+        ("EPSG:6588", "m", "EPSG:6587"),
+        ("EPSG:6587", "us-ft", "EPSG:6588"),
+        ("EPSG:2225+6360", "m", "EPSG:26941+5703"),
+        ("EPSG:26941+5703", "us-ft", "EPSG:2225+6360"),
+        ("EPSG:2991+5703", "ft", "EPSG:2992+8228"),
+        (MIXED, "us-ft", TEXAS),
+    ],
+)
+def test_a_crs_in_another_unit_is_epsgs_twin(text: str, unit: str, twin: str) -> None:
+    found, known = in_unit(CRS.from_user_input(text), NAMES[unit]), CRS.from_user_input(twin)
+    assert [part.to_epsg() for part in (horizontal(found), vertical(found)) if part] == [
+        part.to_epsg() for part in (horizontal(known), vertical(known)) if part
+    ]
+
+
+WITHOUT_TWIN = ["EPSG:32615", "EPSG:25832+5783", "EPSG:2193+7839", "EPSG:2992+8228", MIXED]
+
+
+@pytest.mark.parametrize("unit", NAMES)
+@pytest.mark.parametrize("text", WITHOUT_TWIN)
+def test_another_unit_is_an_exact_factor_that_every_file_states(
+    tmp_path: Path, text: str, unit: str
+) -> None:
+    survey = CRS.from_user_input(text)
+    there, own = Reprojection(survey, None, unit), Units.of(survey)
+    made = Units.of(there.crs)
+    assert made == Units(NAMES[unit], COMMON[NAMES[unit]], NAMES[unit], COMMON[NAMES[unit]])
+    assert there.moves_points == (made != own)
+    low, high = (1_600_000.0, 5_200_000.0, -50.0), (1_700_000.0, 5_300_000.0, 900.0)
+    places = np.random.default_rng(1).uniform(low, high, (100, 3))
+    factor = np.divide(own.xyz_m, made.xyz_m)
+    off = there.places(places) - places * factor
+    assert np.abs(off * made.xyz_m).max() < 2e-4  # false northings of twins differ by 0.1 mm
+    heights = np.array([[812.5]], np.float32)
+    write_cog(
+        tmp_path / "dtm", heights, shape=(1, 1), origin_xy_m=(4.0, 9.0), crs=there.crs.to_wkt(),
+        description="", unit="m",
+    )  # fmt: skip
+    with rasterio.open(tmp_path / "dtm") as source:
+        assert Units.of(CRS.from_wkt(source.crs.to_wkt())) == made
+        stated = made.vertical if made.vertical_m != 1.0 else "m"
+        assert source.units == (stated,)
+        assert source.read(1)[0, 0] == np.float32(812.5 / made.vertical_m)
+    part = read_part(tmp_path / "dtm", (4.1, 8.1, 4.2, 8.2))
+    assert part is not None
+    np.testing.assert_allclose(part.values, heights, rtol=1e-6)
+
+
+def test_another_unit_needs_a_crs() -> None:
+    with pytest.raises(WorkflowError, match=r"outputs\.units: the survey has no CRS"):
+        Reprojection(None, None, "us-ft")
+
+
+def test_a_named_crs_in_a_named_unit() -> None:
+    found = Reprojection(CRS.from_user_input(TEXAS), "EPSG:26915", "us-ft")
+    metres = Reprojection(CRS.from_user_input(TEXAS), "EPSG:26915+5703")
+    assert Units.of(found.crs) == Units.of(CRS.from_user_input(TEXAS))
+    place = np.array([[3_000_000.0, 13_000_000.0, 100.0]])
+    np.testing.assert_allclose(found.places(place) * US_M, metres.places(place), atol=1e-6)
 
 
 def test_clouds_and_rasters_in_another_crs(tmp_path: Path) -> None:
@@ -166,7 +237,7 @@ def test_clouds_and_rasters_in_another_crs(tmp_path: Path) -> None:
         ("EPSG:32615+5703", "EPSG:2278+5773", "cannot be reached .* grid that it lacks"),
         ("EPSG:32615", "EPSG:32606", "stretches lengths"),
         ("EPSG:27700", "EPSG:25830", "pyproj sync --file uk_os_OSTN15_NTv2_OSGBtoETRS.tif"),
-        ("EPSG:2994", "EPSG:2992", "lacks us_noaa_nadcon5_nad83_1986_nad83_harn_conus.tif"),
+        ("EPSG:2994", "EPSG:2992", "lacks what .* --file us_noaa_nadcon5_nad83_1986_nad83_harn"),
     ],
 )
 def test_a_crs_that_cannot_be_reached_is_refused(survey, named: str, fault: str) -> None:

@@ -24,6 +24,7 @@ import numpy as np
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
+from spl_batch.engine.report.number_format import as_ascii, height
 from spl_batch.engine.report.parts import STRICT, Count, Number
 
 STANDARD: Final = "ASPRS Positional Accuracy Standards for Digital Geospatial Data"
@@ -97,22 +98,29 @@ def at_checkpoints(found: Sequence[CheckpointError]) -> CheckpointStatistics:
     )
 
 
-def statement(nva: CheckpointStatistics, vva: CheckpointStatistics, class_m: float) -> str:
+def statement(
+    nva: CheckpointStatistics,
+    vva: CheckpointStatistics,
+    class_m: float,
+    of_heights: tuple[str, float] = ("m", 1.0),
+) -> str:
     """What may be said of a product, in the standard's words.
 
-    ``class_m``: vertical accuracy class that was asked for: the largest RMSE_V [m].
+    ``class_m``: vertical accuracy class that was asked for: the largest RMSE_V [m];
+    ``of_heights``: unit of delivery, and the metres in it.
     """
     source = f"{STANDARD}, {IN_FORCE}"
     found = [
-        _found("Non-Vegetated Vertical Accuracy (NVA)", "open", nva),
-        *([_found("Vegetated Vertical Accuracy (VVA)", "vegetated", vva)] if vva.n else []),
+        _found("Non-Vegetated Vertical Accuracy (NVA)", "open", nva, of_heights),
     ]
+    if vva.n:
+        found.append(_found("Vegetated Vertical Accuracy (VVA)", "vegetated", vva, of_heights))
     if not nva.enough or nva.rmse_v_m is None:
         return f"Insufficient for a statement: {_lacking(nva)} ({source}). {' '.join(found)}"
     meets = "to meet" if nva.rmse_v_m <= class_m else "and does not meet"
     return (
-        f"This data set was tested {meets} {source} for a {_cm(class_m)} RMSE_V Vertical "
-        f"Accuracy Class. {' '.join(found)}"
+        f"This data set was tested {meets} {source} for a {_height(class_m, of_heights)} RMSE_V "
+        f"Vertical Accuracy Class. {' '.join(found)}"
     )
 
 
@@ -122,21 +130,21 @@ def _lacking(nva: CheckpointStatistics) -> str:
     return "the accuracy of the checkpoints themselves is not given"
 
 
-def _found(name: str, kind: str, of: CheckpointStatistics) -> str:
+def _found(name: str, kind: str, of: CheckpointStatistics, unit: tuple[str, float]) -> str:
     if of.rmse_v1_m is None:
         return f"The {name} was not tested: no {kind} checkpoint lies on the terrain."
     few = "" if of.n >= ENOUGH else ", using the reduced number of checkpoints"
     own = (
         "the checkpoints' own accuracy is not known"
         if of.rmse_v2_m is None
-        else f"checkpoints {_cm(of.rmse_v2_m)}"
+        else f"checkpoints {_height(of.rmse_v2_m, unit)}"
     )
-    whole = "not known" if of.rmse_v_m is None else _cm(of.rmse_v_m)
+    whole = "not known" if of.rmse_v_m is None else _height(of.rmse_v_m, unit)
     return (
         f"The {name} was found to be RMSE_V = {whole} at {of.n} checkpoints{few}: fit "
-        f"{_cm(of.rmse_v1_m)}, {own}."
+        f"{_height(of.rmse_v1_m, unit)}, {own}."
     )
 
 
-def _cm(metres: float) -> str:
-    return f"{100 * metres:.1f} cm"
+def _height(metres: float, unit: tuple[str, float]) -> str:
+    return as_ascii(height(metres, unit))

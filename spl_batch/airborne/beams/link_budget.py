@@ -17,6 +17,7 @@ Deviation: Eq. 2.1 gives the whole array; a beamlet gets its share of the energy
 
 import math
 
+from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.constants import PLANCK_J_S, SPEED_OF_LIGHT_M_S
 
 
@@ -25,29 +26,13 @@ def photon_energy_j(wavelength_nm: float) -> float:
     return PLANCK_J_S * SPEED_OF_LIGHT_M_S / (wavelength_nm * 1e-9)
 
 
-def signal_constant(
-    efficiency: float, beamlet_energy_j: float, wavelength_nm: float, aperture_m: float
-) -> float:
+def link_constant(sensor: Sensor) -> float:
     r"""What of Eq. 2.1 belongs to the instrument alone [m2].
 
-    Parameters
-    ----------
-    efficiency : float
-        :math:`\eta_h \eta_q \eta_r`.
-    beamlet_energy_j : float
-        Transmitted energy of one beamlet [J].
-    wavelength_nm : float
-        Laser wavelength [nm].
-
-    Returns
-    -------
-    float
-        :math:`n_s = C \rho \cos\alpha \exp(-2 \beta R) / R^2` with this :math:`C`.
-
-    References
-    ----------
-    [W17] Eq. 2.1.
+    :math:`n_s = C \rho \cos\alpha \exp(-2 \beta R) / R^2` with this :math:`C`: photo-electrons of
+    a beamlet per reflectance, times square of range [W17 Eq. 2.1].
     """
-    area = math.pi * (aperture_m / 2) ** 2
-    photons = beamlet_energy_j / photon_energy_j(wavelength_nm)
-    return efficiency * photons * area / math.pi
+    area = math.pi * (sensor.aperture_m / 2) ** 2
+    efficiency = sensor.hologram_efficiency * sensor.quantum_efficiency * sensor.receiver_efficiency
+    energy_j = sensor.pulse_energy_uj * 1e-6 / sensor.beamlets
+    return efficiency * (energy_j / photon_energy_j(sensor.wavelength_nm)) * area / math.pi

@@ -11,18 +11,16 @@ from pyproj import CRS
 
 from spl_batch.airborne.catalogue.delivered_files import (
     INDEX,
-    UNKNOWN_SPAN,
     UNNAMED,
     Cloud,
     Delivery,
     Publisher,
     RasterFile,
-    Span,
     leads_to_degrees,
     read_cloud,
     read_raster_file,
-    utc_span,
 )
+from spl_batch.airborne.catalogue.stac import write_stac
 from spl_batch.errors import plain
 from spl_batch.formats.crs import crs_name
 from spl_batch.formats.files.atomic import replacing, scratch_folder
@@ -81,11 +79,10 @@ def write_catalogues(
         What could not be written, and why.
     """
     units = Units.of(crs)
-    clouds = [read_cloud(output, one["href"], _span(one["span_s"]), crs) for one in args["clouds"]]
+    clouds = [read_cloud(output, crs=crs, **one) for one in args["clouds"]]
     moved = [
-        read_cloud(output, href, _span(one["span_s"]), header_crs(read_header(output / href))[0])
+        read_cloud(output, crs=header_crs(read_header(output / one["href"]))[0], **one)
         for one in args["reprojected"]
-        for href in [one["href"]]
     ]
     rasters = [read_raster_file(output, href) for href in args["rasters"]]
     text = None if crs is None else crs.to_wkt()
@@ -93,8 +90,6 @@ def write_catalogues(
     held = [cloud for cloud in clouds if cloud.points]
     reason = _why_without_places(crs, held, rasters)
     if crs is not None and not reason:
-        from spl_batch.airborne.catalogue.stac import write_stac  # noqa: PLC0415 - loads pystac
-
         elsewhere = [cloud for cloud in moved if cloud.points]
         delivery = Delivery(plain(name), crs, held, rasters, publisher, elsewhere)
         written += write_stac(output, delivery)
@@ -115,10 +110,6 @@ def _why_without_places(
     return ""
 
 
-def _span(seconds: Sequence[float] | None) -> Span:
-    return UNKNOWN_SPAN if seconds is None else utc_span(*seconds)
-
-
 def _layers(
     args: Mapping[str, Any],
     clouds: Sequence[Cloud],
@@ -136,7 +127,7 @@ def _layers(
     boxes = {cloud.href: shapely.box(*cloud.box) for cloud in clouds}
     lines = args["flightlines"]
     flown = [
-        _in_units(outlines.get(one["id"]), units)
+        in_units(outlines.get(one["id"]), units)
         or _together([boxes[href] for href in one["files"]])
         for one in lines
     ]
@@ -153,7 +144,7 @@ def _layers(
     )
 
 
-def _in_units(shape: shapely.MultiPolygon | None, units: Units) -> shapely.MultiPolygon | None:
+def in_units(shape: shapely.Geometry | None, units: Units) -> shapely.Geometry | None:
     """A shape in metres, in the units of the survey's CRS."""
     if shape is None or units.are_metres:
         return shape

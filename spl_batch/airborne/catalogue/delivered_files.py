@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import laspy
+import numpy as np
 import shapely
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
@@ -51,7 +52,7 @@ class Span(NamedTuple):
     last: dt.datetime
 
 
-def utc_span(first_s: float, last_s: float) -> Span:
+def _utc_span(first_s: float, last_s: float) -> Span:
     """Moments of two adjusted standard GPS times [s]."""
     moments = (
         GPS_EPOCH + dt.timedelta(seconds=s + ADJUSTED_STANDARD_OFFSET_S - leap_seconds(s))
@@ -103,8 +104,12 @@ class Cloud:
         return self.points / area_m2 if area_m2 else 0.0
 
 
-def read_cloud(output: Path, href: str, span: Span, crs: CRS | None) -> Cloud:
-    """A delivered cloud in a CRS, from its header."""
+def read_cloud(output: Path, href: str, span_s: Sequence[float] | None, crs: CRS | None) -> Cloud:
+    """A delivered cloud in a CRS, from its header.
+
+    ``span_s``: first and last adjusted standard GPS time of its points [s]; None without times.
+    """
+    span = UNKNOWN_SPAN if span_s is None else _utc_span(*span_s)
     with laspy.open(output / href) as reader:
         header = reader.header
         low, high = header.mins.tolist(), header.maxs.tolist()
@@ -191,16 +196,6 @@ def box_deg(box: Box, crs: CRS) -> Box:
     return west, south, east, north
 
 
-def outline_deg(box: Box, crs: CRS) -> dict[str, Any]:
-    """Corners of a box of a CRS in longitudes and latitudes, as GeoJSON."""
-    ring = shapely.get_coordinates(shapely.box(*box, ccw=True))
-    lon, lat = _to_degrees(crs).transform(*ring.T)
-    return {
-        "type": "Polygon",
-        "coordinates": [[[x, y] for x, y in zip(lon.tolist(), lat.tolist(), strict=True)]],
-    }
-
-
 @lru_cache(maxsize=8)
 def _to_degrees(crs: CRS) -> Transformer:
     return Transformer.from_crs(horizontal(crs), 4326, always_xy=True)
@@ -215,10 +210,9 @@ def leads_to_degrees(crs: CRS) -> bool:
     return True
 
 
-def outline(box: Box) -> dict[str, Any]:
-    """Corners of a box, as GeoJSON in its CRS."""
-    found: dict[str, Any] = shapely.geometry.mapping(shapely.box(*box, ccw=True))
-    return {
-        "type": found["type"],
-        "coordinates": [[list(corner) for corner in ring] for ring in found["coordinates"]],
-    }
+def outline(box: Box, crs: CRS | None = None) -> dict[str, Any]:
+    """Corners of a box, as GeoJSON; in longitudes and latitudes where its CRS is given."""
+    ring = shapely.get_coordinates(shapely.box(*box, ccw=True))
+    if crs is not None:
+        ring = np.column_stack(_to_degrees(crs).transform(*ring.T))
+    return {"type": "Polygon", "coordinates": [ring.tolist()]}

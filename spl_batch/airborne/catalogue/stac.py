@@ -1,10 +1,11 @@
 """STAC 1.1: a collection with an item for each cloud and raster, and a virtual point cloud.
 
-Sources: STAC 1.1.0; extensions point cloud 1.0.0 and projection 2.0.0, by pystac; the VPC
-specification of PDAL wrench, a GeoJSON file of the clouds' items whose readers take STAC 1.0.0 with
-projection 1.1.0 alone. All links are relative, so that the folder can be moved.
+Sources: STAC 1.1.0; extensions point cloud 1.0.0 and projection 2.0.0; the VPC specification of
+PDAL wrench, a GeoJSON file of the clouds' items whose readers take STAC 1.0.0 with projection 1.1.0
+alone. All links are relative, so that the folder can be moved.
 """
 
+import datetime as dt
 import hashlib
 import json
 from collections import Counter
@@ -12,28 +13,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-import pystac
 from pyproj import CRS
-from pystac.extensions.pointcloud import (
-    PhenomenologyType,
-    PointcloudExtension,
-    Schema,
-    SchemaType,
-    Statistic,
-)
-from pystac.extensions.projection import ProjectionExtension
 
 from spl_batch.airborne.catalogue.delivered_files import (
     STAC,
     VIRTUAL,
-    Box,
     Cloud,
     Delivery,
     Publisher,
     RasterFile,
+    Span,
     box_deg,
     outline,
-    outline_deg,
     plain_name,
 )
 from spl_batch.errors import plain
@@ -47,10 +38,13 @@ LAZ_TYPE: Final = "application/vnd.laszip"
 COPC_TYPE: Final = "application/vnd.laszip+copc"
 SOFTWARE: Final = "spl-batch"
 
-VIRTUAL_EXTENSIONS: Final = (
-    "https://stac-extensions.github.io/pointcloud/v1.0.0/schema.json",
-    "https://stac-extensions.github.io/projection/v1.1.0/schema.json",
-)
+EXTENSION: Final = "https://stac-extensions.github.io/{}/schema.json"
+POINT_CLOUD: Final = EXTENSION.format("pointcloud/v1.0.0")
+PROJECTION: Final = EXTENSION.format("projection/v2.0.0")
+VIRTUAL_PROJECTION: Final = EXTENSION.format("projection/v1.1.0")
+
+Record = dict[str, Any]
+"""Content of a JSON file."""
 
 
 def _item_ids(hrefs: Sequence[str]) -> dict[str, str]:
@@ -79,50 +73,16 @@ def write_stac(output: Path, delivery: Delivery) -> list[Path]:
     ids = _item_ids([one.href for one in clouds] + [one.href for one in delivery.rasters])
     items = [_cloud_item(ids[one.href], one, delivery) for one in clouds]
     items += [_raster_item(ids[one.href], one, delivery) for one in delivery.rasters]
-    boxes = [list(item.bbox or ()) for item in items]
-    flat = [box if len(box) == 4 else [*box[:2], *box[3:5]] for box in boxes]
-    whole = [
-        min(b[0] for b in flat), min(b[1] for b in flat),
-        max(b[2] for b in flat), max(b[3] for b in flat),
-    ]  # fmt: skip
-    collection = pystac.Collection(
-        id=_slug(delivery.name),
-        title=delivery.name,
-        description=f"Classified clouds and rasters of the lidar survey {delivery.name}.",
-        extent=pystac.Extent(
-            pystac.SpatialExtent([whole]), pystac.TemporalExtent([list(delivery.span)])
-        ),
-        license=_licence(delivery.publisher),
-        providers=[
-            *_producer(delivery.publisher),
-            pystac.Provider(SOFTWARE, roles=[pystac.ProviderRole.PROCESSOR]),
-        ],
-    )
     folder = output / STAC
-    for item in items:
-        item.collection_id = collection.id
-        item.links = [
-            pystac.Link("root", "./collection.json", "application/json"),
-            pystac.Link("parent", "./collection.json", "application/json"),
-            pystac.Link("collection", "./collection.json", "application/json"),
-        ]
-        collection.links.append(pystac.Link("item", f"./{item.id}.json", "application/geo+json"))
-    collection.links = [link for link in collection.links if link.rel != "root"]
-    collection.links.insert(0, pystac.Link("root", "./collection.json", "application/json"))
-    if (licence := delivery.publisher.licence) and _is_url(licence):
-        collection.links.append(pystac.Link("license", licence))
-    # Links are as they stand: nothing is to be resolved, or made absolute.
-    records = [item.to_dict(include_self_link=False, transform_hrefs=False) for item in items]
-    written = {folder / f"{record['id']}.json": _text(record) for record in records}
+    written = {folder / f"{item['id']}.json": _text(item) for item in items}
     features = ",\n".join(written.values())
-    of_collection = collection.to_dict(include_self_link=False, transform_hrefs=False)
     texts = {
-        folder / "collection.json": _text(of_collection),
+        folder / "collection.json": _text(_collection(delivery, items)),
         folder / "items.json": f'{{"type": "FeatureCollection", "features": [\n{features}\n]}}',
         **written,
     }
     # One layer shows each point once: clouds in another CRS are left out.
-    virtual = [_virtual(*one, delivery.crs) for one in zip(delivery.clouds, records, strict=False)]
+    virtual = [_virtual(*one, delivery.crs) for one in zip(delivery.clouds, items, strict=False)]
     texts[output / VIRTUAL] = _text({"type": "FeatureCollection", "features": virtual})
     for path, text in texts.items():
         # Thousands of items, and a receipt that knows their sizes: a disk's time for each is saved.
@@ -130,33 +90,61 @@ def write_stac(output: Path, delivery: Delivery) -> list[Path]:
     return list(texts)
 
 
-def _is_url(licence: str) -> bool:
-    return "://" in licence
+def _collection(delivery: Delivery, items: Sequence[Record]) -> Record:
+    boxes = [item["bbox"] for item in items]
+    flat = [box if len(box) == 4 else [*box[:2], *box[3:5]] for box in boxes]
+    west, south, east, north = zip(*flat, strict=True)
+    licence = delivery.publisher.licence
+    is_url = licence is not None and "://" in licence
+    return {
+        "type": "Collection",
+        "id": _slug(delivery.name),
+        "stac_version": "1.1.0",
+        "description": f"Classified clouds and rasters of the lidar survey {delivery.name}.",
+        "links": [
+            _link("root"),
+            *(_link("item", f"{item['id']}.json", "application/geo+json") for item in items),
+            *([{"rel": "license", "href": licence}] if is_url else []),
+        ],
+        "title": delivery.name,
+        "extent": {
+            "spatial": {"bbox": [[min(west), min(south), max(east), max(north)]]},
+            "temporal": {"interval": [[_moment(end) for end in delivery.span]]},
+        },
+        "license": "other" if licence is None or is_url else licence,
+        "providers": [
+            *_producer(delivery.publisher),
+            {"name": SOFTWARE, "roles": ["processor"]},
+        ],
+    }
 
 
-def _licence(publisher: Publisher) -> str:
-    """What STAC takes; a URL is a link beside it."""
-    known = publisher.licence is not None and not _is_url(publisher.licence)
-    return str(publisher.licence) if known else "other"
+def _link(rel: str, name: str = "collection.json", kind: str = "application/json") -> Record:
+    return {"rel": rel, "href": f"./{name}", "type": kind}
 
 
-def _producer(publisher: Publisher) -> list[pystac.Provider]:
+def _moment(time: dt.datetime) -> str:
+    return time.isoformat().replace("+00:00", "Z")
+
+
+def _producer(publisher: Publisher) -> list[Record]:
     """Who delivers, as far as it is known."""
     name = publisher.organisation or publisher.contact
     if name is None:
         return []
-    contact = None if publisher.contact is None else f"Contact: {plain(publisher.contact)}"
-    return [pystac.Provider(plain(name), contact, [pystac.ProviderRole.PRODUCER])]
+    contact = publisher.contact
+    words = {} if contact is None else {"description": f"Contact: {plain(contact)}"}
+    return [{"name": plain(name), **words, "roles": ["producer"]}]
 
 
-def _virtual(cloud: Cloud, record: dict[str, Any], crs: CRS) -> dict[str, Any]:
+def _virtual(cloud: Cloud, record: Record, crs: CRS) -> Record:
     """Item of a cloud as readers of virtual point clouds want it."""
     properties = {k: v for k, v in record["properties"].items() if k != "proj:code"}
     code = crs.to_epsg()
     return {
         **record,
         "stac_version": "1.0.0",
-        "stac_extensions": list(VIRTUAL_EXTENSIONS),
+        "stac_extensions": [POINT_CLOUD, VIRTUAL_PROJECTION],
         "properties": {
             **properties,
             "datetime": properties["start_datetime"],
@@ -176,77 +164,70 @@ def _slug(name: str) -> str:
     return kept.strip("-") or "survey"
 
 
-def _cloud_item(name: str, cloud: Cloud, delivery: Delivery) -> pystac.Item:
-    crs = delivery.crs_of(cloud)
-    west, south, east, north = box_deg(cloud.box, crs)
-    ends = cloud.bounds[2], cloud.bounds[5]
-    low_m, high_m = (end * cloud.units.vertical_m for end in ends)
-    item = pystac.Item(
-        id=name,
-        geometry=outline_deg(cloud.box, crs),
-        bbox=[west, south, low_m, east, north, high_m],
-        datetime=None,
-        properties={},
-        start_datetime=cloud.span.first,
-        end_datetime=cloud.span.last,
-    )
+def _cloud_item(name: str, cloud: Cloud, delivery: Delivery) -> Record:
+    low, high = cloud.bounds[2], cloud.bounds[5]
     kind = COPC_TYPE if cloud.href.endswith(".copc.laz") else LAZ_TYPE
-    item.add_asset("data", pystac.Asset(f"../{cloud.href}", media_type=kind, roles=["data"]))
-    _project(item, crs, cloud.box, ends)
-    PointcloudExtension.ext(item, add_if_missing=True).apply(
-        count=cloud.points,
-        type=PhenomenologyType.LIDAR,
-        encoding="LASzip",
-        schemas=[Schema.create(n, size, SchemaType(kind)) for n, size, kind in cloud.dimensions],
-        density=cloud.per_m2,
-        statistics=[
-            # create() writes null for what is not given, which the extension's schema refuses.
-            Statistic({"name": axis, "minimum": cloud.bounds[k], "maximum": cloud.bounds[k + 3]})
+    item = _item(name, cloud, delivery, cloud.span, {"type": kind})
+    heights_m = [end * cloud.units.vertical_m for end in (low, high)]
+    item["bbox"] = _with_heights(item["bbox"], heights_m)
+    item["stac_extensions"].append(POINT_CLOUD)
+    item["properties"] |= {
+        "proj:bbox": _with_heights(cloud.box, (low, high)),
+        "pc:count": cloud.points,
+        "pc:type": "lidar",
+        "pc:encoding": "LASzip",
+        "pc:schemas": [{"name": n, "size": size, "type": k} for n, size, k in cloud.dimensions],
+        "pc:density": cloud.per_m2,
+        "pc:statistics": [
+            {"name": axis, "minimum": cloud.bounds[k], "maximum": cloud.bounds[k + 3]}
             for k, axis in enumerate("XYZ")
         ],
-    )
+    }
     return item
 
 
-def _raster_item(name: str, raster: RasterFile, delivery: Delivery) -> pystac.Item:
-    crs = delivery.crs_of(raster)
-    item = pystac.Item(
-        id=name,
-        geometry=outline_deg(raster.box, crs),
-        bbox=list(box_deg(raster.box, crs)),
-        datetime=None,
-        properties={"title": raster.meaning, "gsd": raster.cell_m},
-        start_datetime=delivery.span.first,
-        end_datetime=delivery.span.last,
-    )
-    asset = pystac.Asset(
-        f"../{raster.href}", title=raster.meaning, media_type=COG_TYPE, roles=["data"]
-    )
-    if raster.unit:
-        asset.extra_fields["unit"] = raster.unit
-    item.add_asset("data", asset)
-    _project(item, crs, raster.box)
+def _raster_item(name: str, raster: RasterFile, delivery: Delivery) -> Record:
+    unit = {"unit": raster.unit} if raster.unit else {}
+    asset = {"type": COG_TYPE, "title": raster.meaning, **unit}
+    item = _item(name, raster, delivery, delivery.span, asset)
     west, _, _, north = raster.box
-    found = ProjectionExtension.ext(item)
-    found.shape = list(raster.shape)
-    found.transform = [raster.cell, 0.0, west, 0.0, -raster.cell, north]
+    item["properties"] |= {
+        "title": raster.meaning,
+        "gsd": raster.cell_m,
+        "proj:shape": list(raster.shape),
+        "proj:transform": [raster.cell, 0.0, west, 0.0, -raster.cell, north],
+    }
     return item
 
 
-def _project(
-    item: pystac.Item,
-    crs: CRS,
-    box: Box,
-    heights: tuple[float, float] | None = None,
-) -> None:
+def _item(
+    name: str, made: Cloud | RasterFile, delivery: Delivery, span: Span, asset: Record
+) -> Record:
+    """What items of clouds and of rasters have in common."""
+    crs = delivery.crs_of(made)
     authority = crs.to_authority()
+    return {
+        "type": "Feature",
+        "stac_version": "1.1.0",
+        "stac_extensions": [PROJECTION],
+        "id": name,
+        "geometry": outline(made.box, crs),
+        "bbox": list(box_deg(made.box, crs)),
+        "properties": {
+            "datetime": None,
+            "start_datetime": _moment(span.first),
+            "end_datetime": _moment(span.last),
+            "proj:code": ":".join(authority) if authority else None,
+            "proj:wkt2": crs.to_wkt("WKT2_2019"),
+            "proj:geometry": outline(made.box),
+            "proj:bbox": list(made.box),
+        },
+        "links": [_link(rel) for rel in ("root", "parent", "collection")],
+        "assets": {"data": {"href": f"../{made.href}", **asset, "roles": ["data"]}},
+        "collection": _slug(delivery.name),
+    }
+
+
+def _with_heights(box: Sequence[float], heights: Sequence[float]) -> list[float]:
     west, south, east, north = box
-    bounds = [west, south, east, north]
-    if heights is not None:
-        bounds = [west, south, heights[0], east, north, heights[1]]
-    ProjectionExtension.ext(item, add_if_missing=True).apply(
-        code=":".join(authority) if authority else None,
-        wkt2=crs.to_wkt("WKT2_2019"),
-        geometry=outline(box),
-        bbox=bounds,
-    )
+    return [west, south, heights[0], east, north, heights[1]]

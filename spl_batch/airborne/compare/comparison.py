@@ -239,8 +239,7 @@ def _picture(title: str, caption: str, runs: Mapping[str, Outcome], strip: Bound
     profiles = {name: profile for name, profile in cut.items() if profile is not None}
     if not profiles:
         return Picture(title, "No strip of the survey holds points to show.")
-    png, width, height = style.to_png(draw_methods(profiles))
-    return Picture(title, caption, f"{title}. {caption}", png, width, height)
+    return style.picture(draw_methods(profiles), title, caption)
 
 
 METHODS: Final = Methods(

@@ -163,22 +163,26 @@ def _draft(folder: _Folder) -> Beginning:
     many = f"{counted(len(folder.lines), 'files')}, {grouped(points)} points"
     made.known("flightlines", patterns(folder.path, _paths(folder.lines)), many)
     timed = any(look.timed for look in folder.lines)
-    _trajectory(made, folder, timed=timed)
+    channel = channel_guess(folder.lines, load_preset(SENSOR))
+    linear = "" if channel.value is not None else linear_mode_signs(folder.lines)
+    shots = timed and not linear  # else nothing looks at trajectory, sensor and beamlets
+    if folder.trajectories or shots or not timed:
+        _trajectory(made, folder, timed=timed)
     crs = crs_guess(folder.lines)
     if crs.value is None:
         made.open("crs", "EPSG:32615", crs.reason)
     else:
         made.found.append(("CRS", crs.reason))
         made.lines.append(f"  # CRS: {plain(crs.reason)}")
-    made.supposed("sensor", SENSOR, "no file names the instrument: spl100, hrqls, or its facts")
-    channel = channel_guess(folder.lines, load_preset(SENSOR))
-    if channel.value is None:
+    if shots:
+        text = "no file names the instrument: spl100, hrqls, or its facts"
+        made.supposed("sensor", SENSOR, text)
+    if shots and channel.value is None:
         made.open("channel_dimension", "user_data", channel.reason)
-    else:
+    elif channel.value is not None:
         made.known("channel_dimension", channel.value, f"{channel.value} {channel.reason}")
     _reference(made, folder)
     made.lines += ["", "output: out"]
-    linear = "" if channel.value is not None else linear_mode_signs(folder.lines)
     _filter(made, linear, numbered=channel.value is not None, timed=timed)
     made.left_out += _left_out(folder)
     return made
@@ -224,8 +228,8 @@ def _filter(made: Beginning, linear: str, *, numbered: bool, timed: bool) -> Non
         return
     if linear:
         why = (
-            f"{linear}: taken for linear-mode lidar, of which every point stays; if single photons "
-            "were counted, delete the last two lines of the workflow, and name survey.sensor"
+            f"{linear}: taken for linear-mode lidar, every point stays; if single photons were "
+            "counted, delete the last two lines, and name survey.sensor"
         )
         made.unknown.append(("filter", why))
         made.lines += ["", *wrapped(f"? {why}"), *_KEPT]

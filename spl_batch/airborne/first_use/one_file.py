@@ -4,6 +4,7 @@ The chain is that of a run, in a folder beside the result that is deleted in the
 something failed or stopped the run, and the same command continues there.
 """
 
+import shlex
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -27,14 +28,16 @@ from spl_batch.engine.report.number_format import as_ascii, of_all
 from spl_batch.engine.settings.mistaken_file import refuse_urls
 from spl_batch.engine.store.working_store import Store, read_json, read_receipts, write_json
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.engine.verbs.conclusion import RunResult
-from spl_batch.engine.verbs.running import run
+from spl_batch.engine.verbs.running import RunResult, run
 from spl_batch.engine.watch.events import Listener, Note, ignore
 from spl_batch.errors import DamagedError, InputError, WorkflowError, grouped
 from spl_batch.formats.files.atomic import real_path, remove, replacing, write_bytes
 
 WORK: Final = ".work"
 """How the name of the folder ends that a result is made in, beside it."""
+
+KEEP_ALL: Final = "filter.method=none"
+"""Override by which every point stays, as in linear-mode lidar."""
 
 _WORKFLOW: Final = "workflow.yaml"
 _MOVED: Final = "moved.json"
@@ -99,7 +102,14 @@ def denoise(
     refuse_urls(source, target, trajectory, dtm)
     _refuse(Path(source), results, _moved(folder), force=force)
     look = look_at(Path(source))
-    guessed, content = _proposal(look, trajectory, sensor, ground=ground)
+    kept = KEEP_ALL in {override.replace(" ", "") for override in overrides}
+    linear = _linear_mode(look, sensor)
+    if linear and not kept:
+        raise WorkflowError(_as_linear_mode(Path(source), cloud, linear))
+    guessed, content = _proposal(look, trajectory, sensor, ground=ground, kept=kept)
+    if kept and (linear or not look.timed):
+        content["afterpulse"] = {"enabled": False}
+        guessed.append("guessed: every point stays: no afterpulses are looked for either")
     new = [place for place in {path.parent for path, _ in results} if not place.exists()]
     for place in new:
         if not place.parent.exists():
@@ -191,31 +201,54 @@ def _stamp(path: Path) -> list[int]:
     return [stat.st_size, stat.st_mtime_ns]
 
 
+def _linear_mode(look: CloudLook, sensor: str | None) -> str:
+    """What speaks for linear-mode lidar; empty if nothing does, or single photons were counted."""
+    if sensor is not None:
+        named = load_preset(sensor)
+        return "" if named.photons else named.name
+    if not look.timed or channel_guess([look], load_preset(SENSOR)).value is not None:
+        return ""
+    return linear_mode_signs([look])
+
+
+def _as_linear_mode(source: Path, cloud: Path, signs: str) -> str:
+    """Why a file is refused that looks like linear-mode lidar, and the command that takes it."""
+    command = shlex.join(
+        ["spl-batch", "denoise", str(source), str(cloud), "--ground", "--set", KEEP_ALL]
+    )
+    return (
+        f"{source}: this looks like linear-mode lidar ({signs}), and denoise would take true "
+        f"points for noise; `{command}` keeps every point and finds the ground; "
+        f"`spl-batch init {source.parent}` writes such a workflow for all files of its folder; if "
+        f"single photons were counted, name the instrument: --sensor {SENSOR}"
+    )
+
+
 def _proposal(
-    look: CloudLook, trajectory: Path | str | None, sensor: str | None, *, ground: bool
+    look: CloudLook,
+    trajectory: Path | str | None,
+    sensor: str | None,
+    *,
+    ground: bool,
+    kept: bool,
 ) -> tuple[list[str], dict[str, Any]]:
-    """What is guessed, a sentence for each, and the workflow that follows."""
+    """What is guessed, a sentence for each, and the workflow that follows.
+
+    ``kept``: whether no point is to be filtered, so that no shots are needed.
+    """
     path = look.facts.path
     if not look.facts.n_points:
         raise InputError(str(path), NO_POINTS)
-    if not look.timed:
+    if not look.timed and not kept:
         raise InputError(
             str(path),
             "its first and last points have no usable gps_time, so there are no shots to tell "
             "noise by; give the file its times, or use spl_batch.filter_points of Python, which "
-            "measures noise where the cloud is empty; of linear-mode lidar `spl-batch init "
-            f"{path.parent}` writes a workflow for ground and surfaces",
+            "measures noise where the cloud is empty; of linear-mode lidar, which has none, "
+            f"`--ground --set {KEEP_ALL}` keeps every point and finds the ground",
         )
     instrument = sensor or SENSOR
     channel = channel_guess([look], load_preset(instrument))
-    signs = linear_mode_signs([look]) if sensor is None and channel.value is None else ""
-    if signs:
-        raise WorkflowError(
-            f"{path}: this looks like linear-mode lidar ({signs}), and denoise would take true "
-            f"points for noise; `spl-batch init {path.parent}` writes a workflow that keeps every "
-            "point and makes ground and surfaces; if single photons were counted, name the "
-            f"instrument: --sensor {SENSOR}"
-        )
     survey: dict[str, Any] = {
         "name": path.stem,
         "flightlines": str(real_path(path)),

@@ -30,6 +30,7 @@ from spl_batch.airborne.store.flown_lines import SHIFTS, Pass, Shifts, read_shif
 from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.tasks.context import Produced
+from spl_batch.engine.tasks.task import Receipt
 from spl_batch.errors import grouped
 from spl_batch.formats.rasters.parts import RasterPart
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
@@ -127,14 +128,14 @@ def _shifted(cell: _Cell, lines: Shifts) -> _Cell:
     return cell._replace(patches={**patches, "rise": rise})
 
 
-def shifts_of(facts: Mapping[str, Any]) -> list[AlignedLine]:
-    """Shifts that :func:`align` has found, by its receipt."""
-    return [AlignedLine(**line) for line in facts["shifts"]]
+def shifts_of(receipts: Iterable[Receipt]) -> tuple[AlignedLine, ...]:
+    """Shifts that :func:`align` has found."""
+    return tuple(AlignedLine(**line) for r in receipts for line in r.facts["shifts"])
 
 
-def pairs_of(facts: Mapping[str, Any]) -> list[StripPair]:
-    """Pairs by the receipt of :func:`strip_pairs`."""
-    return [StripPair(**pair) for pair in facts["pairs"]]
+def pairs_of(receipts: Iterable[Receipt]) -> tuple[StripPair, ...]:
+    """Pairs of flightlines as they are delivered, by :func:`strip_pairs`."""
+    return tuple(StripPair(**pair) for r in receipts for pair in r.facts["pairs"])
 
 
 def difference_map(context: Context) -> RasterPart | None:
@@ -158,12 +159,8 @@ def _returns(cells: Iterable[_Cell]) -> Counter[str]:
 
 def _overlaps(cells: Iterable[_Cell]) -> set[tuple[str, str]]:
     """Pairs of flightlines that overlap in a cell, the lesser name first."""
-    found = set()
-    for cell in cells:
-        for one, other in cell.overlaps:
-            first, second = sorted((cell.names[one], cell.names[other]))
-            found.add((first, second))
-    return found
+    pairs = [(cell.names[one], cell.names[other]) for cell in cells for one, other in cell.overlaps]
+    return {(min(pair), max(pair)) for pair in pairs}
 
 
 def _map(cells: Sequence[Patches]) -> dict[str, NDArray[Any]]:

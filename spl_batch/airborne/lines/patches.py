@@ -104,18 +104,19 @@ def find_patches(
     corner = (whole.xmin, whole.ymin, int(table["z"].min()))
     x, y, z = (table[axis].astype(np.int64) - low for axis, low in zip("xyz", corner, strict=True))
     moments = moments_of((x, y, z), place[table["line"]], (count, rows, columns))
-    free = {pair: np.ones((rows, columns), np.bool_) for pair in combinations(range(count), 2)}
+    pairs = list(combinations(range(count), 2))
+    free: NDArray[np.bool_] = np.ones((len(pairs), rows, columns), np.bool_)
     for level in range(LEVELS):
         size = EDGE_M * 2**level
-        for pair, room in free.items():
+        if level:
+            moments = in_fours(moments).sum(axis=(2, 4))
+            free = np.asarray(in_fours(free).all(axis=(2, 4)))
+        for k, pair in enumerate(pairs):
             planar, fitted = _fitted(moments[pair[0]], moments[pair[1]], size)
-            found.append(_rows(fitted, planar & room, pair, whole, size))
-            free[pair] = room & ~planar
-        if level + 1 < LEVELS:
-            moments = doubled(moments)
-            free = {pair: _all_four(room) for pair, room in free.items()}
+            found.append(_rows(fitted, planar & free[k], pair, whole, size))
+            free[k] &= ~planar
     full = moments[..., 0] >= MIN_RETURNS_PER_PATCH
-    overlaps = {(a, b) for a, b in free if (full[a] & full[b]).any()}
+    overlaps = {(a, b) for a, b in pairs if (full[a] & full[b]).any()}
     together = {name: np.concatenate([part[name] for part in found]) for name in found[0]}
     return _thinned(together), overlaps
 
@@ -124,12 +125,6 @@ def region(core: Bounds) -> Bounds:
     """Whole squares whose south-west corners lie in a core [quanta]."""
     square = quanta(SQUARE_M)
     return Bounds(*(-(-end // square) * square for end in core))
-
-
-def _all_four(room: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Squares of twice the edge of which no part is taken."""
-    rows, columns = room.shape
-    return np.asarray(room.reshape(rows // 2, 2, columns // 2, 2).all(axis=(1, 3)))
 
 
 def _fitted(
@@ -240,9 +235,10 @@ def moments_of(
     return sums.reshape(*shape, 10)
 
 
-def doubled(moments: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Sums of squares of twice the edge: (lines, rows / 2, columns / 2, 10)."""
-    lines, rows, columns, kinds = moments.shape
-    paired = moments.reshape(lines, rows // 2, 2, columns // 2, 2, kinds)
-    summed: NDArray[np.int64] = paired.sum(axis=(2, 4))
-    return summed
+def in_fours(squares: NDArray[Any]) -> NDArray[Any]:
+    """Values of squares, (n, rows, columns, ...), by the square of twice the edge that holds them.
+
+    (n, rows / 2, 2, columns / 2, 2, ...).
+    """
+    n, rows, columns, *each = squares.shape
+    return squares.reshape(n, rows // 2, 2, columns // 2, 2, *each)

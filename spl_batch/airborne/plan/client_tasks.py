@@ -5,37 +5,49 @@ from collections.abc import Iterator
 
 import shapely
 
+from spl_batch.airborne.context import reprojection
 from spl_batch.airborne.plan.space_tasks import aligned, delivered_rasters, knows_reflectance
 from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_bounds
 from spl_batch.airborne.plan.task_memory import refusal
 from spl_batch.airborne.products.product_table import HEIGHTS, products
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.tasks.task import Task
-from spl_batch.formats.reprojection import Reprojection
 from spl_batch.lattice.tiles import Bounds, BoxIndex, cells_touching, shared
 
 
 def client_tiles(survey: Survey) -> Iterator[Task]:
-    """Named areas, each with the delivered clouds and rasters that it is cut out of."""
+    """Named areas, each with the delivered clouds and rasters that it is cut out of.
+
+    Where outputs.units names another unit than the survey's, these are the ones in it.
+    """
     settings = survey.workflow.outputs.client_tiles
     if settings is None:
         return
     delivered, indexed = survey.of("deliver_file"), survey.of("index_file")
     boxes = {key: indexed[key].facts["bounds"] for key in delivered}
     index = BoxIndex({key: Bounds(b[0], b[1], b[3] + 1, b[4] + 1) for key, b in boxes.items() if b})
-    rasters, of_rasters = delivered_rasters(survey)
+    outputs = survey.workflow.outputs
+    moved = reprojection(outputs, survey.inputs.crs)
+    elsewhere = outputs.crs is None and moved is not None and moved.moves_points
+    rasters, of_rasters = delivered_rasters(survey, elsewhere=elsewhere)
     for one in survey.inputs.areas:
         low_x, low_y, high_x, high_y = (QUANTA_PER_M * end for end in shapely.bounds(one.shape))
-        bounds = Bounds(math.floor(low_x), math.floor(low_y), math.ceil(high_x), math.ceil(high_y))
+        # A point within may have been rounded to the next quantum.
+        north_east = math.ceil(high_x) + 1, math.ceil(high_y) + 1
+        bounds = Bounds(math.floor(low_x), math.floor(low_y), *north_east)
         keys = sorted(index.overlapping(bounds), key=lambda key: str(delivered[key].facts["name"]))
         args = {
             "name": one.name,
             "area": shapely.to_wkb(one.shape, hex=True),
             "sources": [[key, delivered[key].facts["name"]] for key in keys],
+            "clouds": "reprojected/laz" if elsewhere else "laz",
             "rasters": rasters,
+            "in_another_unit": elsewhere,
             "aligned": bool(aligned(survey)),
         }
-        needs = (*(("deliver_file", key) for key in keys), *of_rasters, *aligned(survey))
+        kinds = ("deliver_file", "reproject_file")[: 1 + elsewhere]
+        of_clouds = ((kind, key) for kind in kinds for key in keys)
+        needs = (*of_clouds, *of_rasters, *aligned(survey))
         flown = cells_touching(shared(bounds, mosaic_bounds(survey)), survey.tile_q)
         points = sum(survey.counts.get(tile, 0) for tile in flown)
         refused = ""
@@ -52,9 +64,9 @@ def contours(survey: Survey) -> Iterator[Task]:
 
 
 def reprojected_files(survey: Survey) -> Iterator[Task]:
-    """Delivered clouds in another CRS, unless that is the survey's."""
-    named = survey.workflow.outputs.crs
-    if named is None or not Reprojection(survey.inputs.crs, named).moves_points:
+    """Delivered clouds in another CRS or unit, unless these are the survey's."""
+    moved = reprojection(survey.workflow.outputs, survey.inputs.crs)
+    if moved is None or not moved.moves_points:
         return
     for key, receipt in sorted(survey.of("deliver_file").items()):
         name = receipt.facts["name"]
@@ -63,8 +75,8 @@ def reprojected_files(survey: Survey) -> Iterator[Task]:
 
 
 def reprojected_rasters(survey: Survey) -> Iterator[Task]:
-    """Delivered rasters in another CRS."""
-    if survey.workflow.outputs.crs is None:
+    """Delivered rasters in another CRS, unit or cell."""
+    if reprojection(survey.workflow.outputs, survey.inputs.crs) is None:
         return
     for made in products(reflectance=knows_reflectance(survey)):
         if made.delivered and made.name in survey.of("mosaic"):

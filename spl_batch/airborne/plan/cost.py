@@ -17,6 +17,7 @@ from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.tasks.index import parts_of
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.plan.budget import Cost, measured_rates
+from spl_batch.formats.units import Units
 from spl_batch.lattice import density
 from spl_batch.lattice.tiles import Bounds
 
@@ -34,19 +35,37 @@ RATES_POINTS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
         "index": 1.8e6,
         "shots": 2.0e6,
         "shuffle": 0.95e6,
-        "denoise": 0.32e6,
-        "ground": 0.9e6,
-        "surfaces": 0.75e6,
+        "denoise": 0.45e6,
+        "ground": 1.5e6,
+        "surfaces": 1.05e6,
         "deliver": 2.9e6,
-        "report": 0.5e6,
+        "report": 0.28e6,
     }
 )
 """Points per second and worker until a store has measured its own, those of ``report`` of the
 reference, those of ``denoise`` of cells and of margins as :data:`~.grid.MARGIN_COST` has them:
-``python -m benchmarks.end_to_end FOLDER --side-m 450``, and a little less."""
+``python -m benchmarks.plan_cost FOLDER``, by the logs of its runs on an idle machine."""
 
-TASK_S: Final = 0.02
-"""What a task takes however few points it has: files to open and to put in place [s]."""
+TASK_S: Final[Mapping[str, float]] = MappingProxyType(
+    {
+        "index": 0.01,
+        "shots": 0.005,
+        "shuffle": 0.015,
+        "denoise": 1.5,
+        "ground": 0.4,
+        "surfaces": 0.35,
+        "deliver": 0.03,
+        "report": 0.02,
+    }
+)
+"""What a task takes however few points it has [s]: files to open and to put in place, and air and
+raster cells to look through. From the same runs; the sparse one of them has little else."""
+
+COPC_POINTS_PER_S: Final = 0.28e6
+"""Points per second that become an octree."""
+
+ALONE_S: Final = 5.0
+"""Wall time in which nobody works beside: workers start, and the report's page is written [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,7 +96,8 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     )
     stretches = sum(-(-s.facts.n_points // STRETCH_POINTS) for s in sources)
     files = [s.facts.n_points for s in sources]
-    held = needs(pieces, workflow, files, side, survey.inputs.trajectory)
+    units = Units.of(survey.inputs.crs)
+    held = needs(pieces, workflow, files, side, survey.inputs.trajectory, units)
     heaviest = max(held, key=lambda need: need.memory_bytes)
     rates, measured = measured_rates(RATES_POINTS_PER_S, context)
     compared = sum(facts.n_points for facts in survey.inputs.reference.usable)
@@ -102,11 +122,14 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
         "deliver": delivered + _rasters_and_comparisons(survey, cells),
         "report": sum(map(len, survey.inputs.reference)) + reference_tasks.squares(survey),
     }
-    # What a store has measured has the time of its tasks in it.
+    # What a store has measured has the time of its tasks in it, and of its octrees.
     alone = {
-        stage: TASK_S * tasks[stage] * (RATES_POINTS_PER_S[stage] == rates[stage])
+        stage: TASK_S[stage] * tasks[stage] * (RATES_POINTS_PER_S[stage] == rates[stage])
         for stage in rates
     }
+    if RATES_POINTS_PER_S["deliver"] == rates["deliver"]:
+        alone["deliver"] += workflow.outputs.copc * points / COPC_POINTS_PER_S
+    alone["report"] += ALONE_S * survey.workers
     return SurveyCost(
         points=points,
         stretches=stretches,
@@ -135,10 +158,11 @@ def _box(source: Source) -> density.Box:
 
 
 def _copies(workflow: Workflow) -> int:
-    """How often each point is delivered: in its file, in tiles, in a COPC twin [count]."""
+    """How often each point is delivered: in its file, tiles, a COPC twin, another CRS [count]."""
     outputs = workflow.outputs
     tiles = (outputs.tiles != "none") + (outputs.client_tiles is not None)
-    return 1 + tiles + outputs.copc
+    elsewhere = outputs.crs is not None or outputs.units is not None
+    return 1 + tiles + outputs.copc + elsewhere
 
 
 def _rasters_and_comparisons(survey: Survey, cells: int) -> int:

@@ -335,10 +335,13 @@ def catalogue(survey: Survey) -> Iterator[Task]:
     yield Task("deliver_catalogue", "all", args, needs)
 
 
-def delivered_rasters(survey: Survey) -> tuple[list[str], list[Need]]:
-    """Names of rasters below the output, and the tasks that make them."""
-    made = [(kind, name, r) for kind in ("mosaic", "deliver_geoid")
-            for name, r in sorted(survey.of(kind).items())]  # fmt: skip
+def delivered_rasters(survey: Survey, *, elsewhere: bool = False) -> tuple[list[str], list[Need]]:
+    """Names of rasters below the output, and the tasks that make them.
+
+    ``elsewhere``: those in another CRS or unit.
+    """
+    kinds = ("reproject_raster",) if elsewhere else ("mosaic", "deliver_geoid")
+    made = [(kind, name, r) for kind in kinds for name, r in sorted(survey.of(kind).items())]
     names = [n for *_, r in made for n in r.outputs if "store/" not in n]
     return names, [(kind, name) for kind, name, _ in made]
 

@@ -31,6 +31,7 @@ from spl_batch.engine.plan.worker_memory import (
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.errors import grouped
 from spl_batch.formats.trajectory.positions import WAITING_RECORDS
+from spl_batch.formats.units import METRES, Units
 from spl_batch.lattice.density import Piece, largest
 from spl_batch.lattice.tiles import Bounds, grow, quanta
 
@@ -137,10 +138,12 @@ def needs(
     files: Sequence[int],
     side: int,
     trajectory: Iterable[Path] = (),
+    units: Units = METRES,
 ) -> list[Need]:
     """Memory of the heaviest task of each kind, where the points of ``pieces`` lie.
 
-    ``files``: points of each file; ``side``: tiles along one side of a cell of ``denoise`` [count].
+    ``files``: points of each file; ``side``: tiles along one side of a cell of ``denoise`` [count];
+    ``units``: in which places are named.
     """
     points, most = sum(files), max(files, default=0)
     labels = min(most, PASS_POINTS) * BYTES_PER_LABEL
@@ -148,7 +151,7 @@ def needs(
     further += BYTES_PER_HEIGHT * workflow.outputs.height_above_ground
     labels += labels // BYTES_PER_LABEL * further
     records = sum(_records(path) for path in trajectory)
-    found = list(_cells(pieces, workflow, side))
+    found = list(_cells(pieces, workflow, side, units))
     if workflow.outputs.copc:
         task = f"{name_of('deliver_copc')} with {grouped(most)} points"
         found.append(Need(task, task_bytes("deliver_copc", most), STEPS["deliver_copc"].remedy))
@@ -174,7 +177,7 @@ def needs(
     ]
 
 
-def _cells(pieces: Sequence[Piece], workflow: Workflow, side: int) -> Iterator[Need]:
+def _cells(pieces: Sequence[Piece], workflow: Workflow, side: int, units: Units) -> Iterator[Need]:
     """The cells that read most; the points of a file spread evenly over its box."""
     tile_m, cell_m = workflow.tiling.tile_m, workflow.ground.cell_m
     for kind, edge_m, margin_m in (
@@ -185,10 +188,19 @@ def _cells(pieces: Sequence[Piece], workflow: Workflow, side: int) -> Iterator[N
         ("strip_patches", cell_m, 0.0),
     ):
         peak = largest(piece.peak(quanta(edge_m), quanta(margin_m)) for piece in pieces)
-        x, y = (sum(ends) / 2 * QUANTUM_M for ends in (peak.core[::2], peak.core[1::2]))
-        place = f"around x {x:.0f}, y {y:.0f} with {grouped(peak.points)} points in reach"
+        place = f"around {_middle(peak.core, units)} with {grouped(peak.points)} points in reach"
         needed = cell_bytes(kind, peak.core, peak.points, workflow)
         yield Need(f"{name_of(kind)} {place}", needed, remedy(kind, peak.points, needed))
+
+
+def _middle(core: Bounds, units: Units) -> str:
+    """Middle of a cell, in the unit of places, with metres beside."""
+    x, y = (sum(ends) / 2 * QUANTUM_M for ends in (core[::2], core[1::2]))
+    name, unit_m = units.of_places
+    metres = f"x {x:.0f}, y {y:.0f}"
+    if unit_m == 1.0:
+        return metres
+    return f"x {x / unit_m:.0f}, y {y / unit_m:.0f} {name} ({metres} m)"
 
 
 def _records(path: Path) -> int:

@@ -8,6 +8,7 @@ comparison is exact and the order of points does not matter.
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.constants import NODATA
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds
 from spl_batch.numerics.compiled import njit
@@ -55,25 +56,6 @@ def _sort_into_cells(
         sort(key[start[c] : start[c + 1]])
     for i in range(len(key)):
         order[i] = key[i] & np.int64(0xFFFF_FFFF)
-
-
-@njit()
-def number_cells(
-    x: NDArray[np.int64],
-    y: NDArray[np.int64],
-    corner: tuple[int, int],
-    size: float,
-    cols: int,
-    out: NDArray[np.int64],
-) -> None:
-    """Number of the raster cell of each point into ``out``; all in quanta.
-
-    None lies west or south of the ``corner`` (x, y); ``size``, the edge of a cell, is whole.
-    """
-    for i in range(len(x)):
-        # A quotient of whole numbers below 2**53 never rounds up to the next whole one.
-        row, col = np.int64((y[i] - corner[1]) / size), np.int64((x[i] - corner[0]) / size)
-        out[i] = row * cols + col
 
 
 @njit()
@@ -208,9 +190,10 @@ def shape_of(bounds: Bounds, size: int) -> tuple[int, int]:
 
 def cell_number(table: PointTable, bounds: Bounds, size: int) -> NDArray[np.int64]:
     """Number of the raster cell of each point within bounds, row by row from the south-west."""
-    number = np.empty(len(table), np.int64)
-    corner, cols = (bounds.xmin, bounds.ymin), shape_of(bounds, size)[1]
-    number_cells(table["x"], table["y"], corner, float(size), cols, number)
+    number = table["y"] - bounds.ymin
+    number //= size
+    number *= shape_of(bounds, size)[1]
+    number += (table["x"] - bounds.xmin) // size
     return number
 
 
@@ -228,21 +211,21 @@ def by_cell(
     return (x.astype(np.int32), y.astype(np.int32), table["z"].take(order)), start, order
 
 
+def north_up(values: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Raster cells from the south as they are delivered: row 0 northernmost, nodata for NaN."""
+    return np.ascontiguousarray(np.where(np.isnan(values), NODATA, values)[::-1], np.float32)
+
+
 def owned(core: Bounds, edge: int) -> Bounds:
     """Columns and rows of the squares whose centres lie in a region; each has one owner."""
     return Bounds(*(-(-(side - edge // 2) // edge) for side in core))
-
-
-def shape(squares: Bounds) -> tuple[int, int]:
-    """Rows and columns of some squares."""
-    return squares.ymax - squares.ymin, squares.xmax - squares.xmin
 
 
 def held(
     x: NDArray[np.int64], y: NDArray[np.int64], squares: Bounds, edge: int
 ) -> NDArray[np.bool_]:
     """Which squares hold a place, row 0 southernmost: (rows, columns) bool."""
-    found = np.zeros(shape(squares), np.bool_)
+    found = np.zeros(shape_of(squares, 1), np.bool_)
     row, column = y // edge - squares.ymin, x // edge - squares.xmin
     there = (row >= 0) & (row < found.shape[0]) & (column >= 0) & (column < found.shape[1])
     found[row[there], column[there]] = True

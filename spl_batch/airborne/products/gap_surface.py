@@ -140,10 +140,7 @@ def _blocks(means: Grid, size: int, before: tuple[int, int], block: int) -> Grid
 
 
 def _nodes(gaps: NDArray[np.bool_], first: tuple[int, int], step: int) -> NDArray[np.int64]:
-    """Nodes of a lattice whose plates reach cells of gaps: (n, 2), in order.
-
-    ``first``: row and column of the first cell, ``step``: cells from one node to the next.
-    """
+    """Nodes of a lattice, ``step`` cells apart, whose plates reach cells of gaps: (n, 2)."""
     row, column = (axis + f for axis, f in zip(np.nonzero(gaps), first, strict=True))
     corners = np.unique(np.column_stack([row // step, column // step]), axis=0)
     around = [corners + np.array([i, j]) for i in (0, 1) for j in (0, 1)]
@@ -187,10 +184,7 @@ def _add_plates(
     nodes: NDArray[np.int64], blocks: Grid, window: int,
     dtm: Grid, gaps: NDArray[np.bool_], first: NDArray[np.int64], block: int, off: Grid,
 ) -> None:  # fmt: skip
-    """Add what plates lie above the terrain, each by its weight.
-
-    ``nodes``: row and column [blocks]; ``first``: of the terrain's first cell [cells].
-    """
+    """Add what plates lie above the terrain, whose ``first`` cell is that, each by its weight."""
     rows, columns = dtm.shape
     reach = NODE_BLOCKS * block
     points, plate = np.empty(((2 * window) ** 2, 3)), np.empty((2 * window) ** 2 + 3)

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.products.cell_values import flown_over
+from spl_batch.airborne.products.cell_values import flown_over, shape_of
 from spl_batch.constants import NOISE_BACKGROUND, QUANTUM_M
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, quanta
@@ -35,7 +35,7 @@ def noise_by_cell(table: PointTable, wide: Bounds, near: Bounds, size: int) -> N
     the gate, so that strays do not stretch it; its raster cells with any return stand for the
     ground flown over. A square's own density counts where it is clearly more than the average.
     """
-    shape = (wide.ymax - wide.ymin) // size, (wide.xmax - wide.xmin) // size
+    shape = shape_of(wide, size)
     held = np.zeros(shape[0] * shape[1], np.bool_)
     heights, cells = np.empty(len(table), np.int32), np.empty(len(table), np.int32)
     count = flown_over(

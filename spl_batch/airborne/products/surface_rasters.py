@@ -16,7 +16,7 @@ DTM    TIN through one vertex per raster cell, evaluated at cell centres: the ro
        (:mod:`~spl_batch.airborne.ground.water.level`).
 DSM    Highest return of the cell that is ground or that its peers confirm: more of
        them in a sphere than noise alone puts there, spheres from ``dsm_near_m`` to
-       ``dsm_support_m`` in turn (:mod:`spl_batch.airborne.products.confirmed_tops`).
+       ``dsm_support_m`` in turn (:mod:`spl_batch.airborne.products.top_surface`).
        The returns that the filter refused measure that noise; without any,
        ``dsm_support`` returns do. A wire of few returns per metre stands out of the
        DSM only where there is little noise. In a pit, more than 2 m below most cells
@@ -34,6 +34,7 @@ Returns that the filter has not assessed (no beam; or no filter at all) take par
 only where it holds no assessed signal.
 """
 
+from itertools import product
 from typing import Final
 
 import numpy as np
@@ -43,6 +44,7 @@ from spl_batch.airborne.ground.water.level import REACH_M, flattened, in_water, 
 from spl_batch.airborne.products.cell_values import (
     by_cell,
     cell_number,
+    north_up,
     robust_cell_means,
     shape_of,
 )
@@ -57,9 +59,9 @@ from spl_batch.airborne.products.top_surface import (
     top_surface,
 )
 from spl_batch.airborne.settings import ProductSettings
-from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL, QUANTUM_M
+from spl_batch.constants import NOISE_NOT_ASSESSED, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
-from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
+from spl_batch.lattice.tiles import Bounds, grow, inside, quanta, shared
 from spl_batch.numerics.nearest_heights import nearest_heights
 from spl_batch.numerics.triangulation.tin_raster import tin_raster
 
@@ -160,7 +162,7 @@ class _Surfaces:
         rasters |= _counts(signal, cell, size)
         over = self._flown(ground[0]) | (rasters["density"] > 0)
         rasters["density"] = np.where(over, rasters["density"], np.nan)
-        return {name: _delivered(values) for name, values in rasters.items()}
+        return {name: north_up(values) for name, values in rasters.items()}
 
     def _flown(self, means: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Raster cells of the ground cell that were flown."""
@@ -208,10 +210,7 @@ class _Surfaces:
         return dtm, np.maximum(sigma, misfit)
 
     def _honoured(self, near: Bounds, shape: tuple[int, int]) -> NDArray[np.float64]:
-        """Lowest and highest that the nearest ground allows in the cells within a rim: (2, ., .).
-
-        [quanta]; NaN without ground within :data:`NEAR_M`.
-        """
+        """Least and most that the ground within :data:`NEAR_M` allows, else NaN: (2, ., .)."""
         ground = self._ground.take(inside(self._ground["x"], self._ground["y"], near))
         rows, cols = shape_of(near, self._size)
         places, start, _ = by_cell(ground, near, self._size)
@@ -219,20 +218,13 @@ class _Surfaces:
         nearest_heights(places, start, lattice, float(quanta(NEAR_M)), found)
         return found
 
-    def _held_corners(self) -> NDArray[np.bool_]:
-        """Which corners of the area have returns: (2, 2), west and east, south and north."""
-        near, wide, table = CORNER_CELLS * self._size, self.region, self._table
-        corners = np.zeros((2, 2), np.bool_)
-        for i, west in enumerate((wide.xmin, wide.xmax)):
-            beside = np.flatnonzero(np.abs(table["x"] - west) <= near)
-            for j, south in enumerate((wide.ymin, wide.ymax)):
-                held = beside[np.abs(table["y"][beside] - south) <= near]
-                returns = table.select(("x", "y", "noise_class", "flags")).take(held)
-                signal = inside(returns["x"], returns["y"], wide)
-                signal &= returns["noise_class"] == NOISE_SIGNAL
-                signal &= ~returns.has(EXCLUDED | PointFlag.OUTSIDE_AOI)
-                corners[i, j] = signal.any()
-        return corners
+    def _has_signal(self, region: Bounds) -> bool:
+        """Whether a part of the area holds signal."""
+        there = inside(self._table["x"], self._table["y"], shared(region, self.region))
+        returns = self._table.select(("noise_class", "flags")).take(there)
+        signal = returns["noise_class"] == NOISE_SIGNAL
+        signal &= ~returns.has(EXCLUDED | PointFlag.OUTSIDE_AOI)
+        return bool(signal.any())
 
     def _covered_corners(self, vertices: NDArray[np.float64]) -> NDArray[np.float64]:
         """Vertices for corners of an area that have returns but no ground: (k, 3) [quanta].
@@ -243,21 +235,13 @@ class _Surfaces:
         where nothing was returned the survey ends, and so do the triangles.
         """
         near, wide, found = CORNER_CELLS * self._size, self.region, []
-        held = self._held_corners()
-        for i, west in enumerate((0, wide.xmax - wide.xmin)):
-            for j, south in enumerate((0, wide.ymax - wide.ymin)):
-                corner = west, south
-                away = np.abs(vertices[:, :2] - corner).max(axis=1)
-                if len(away) and away.min() > near and held[i, j]:
-                    distance2 = ((vertices[:, :2] - corner) ** 2).sum(axis=1)
-                    found.append([*corner, vertices[distance2.argmin(), 2]])
+        for x, y in product((wide.xmin, wide.xmax), (wide.ymin, wide.ymax)):
+            corner = x - wide.xmin, y - wide.ymin
+            off = vertices[:, :2] - corner
+            bare = len(off) and np.abs(off).max(axis=1).min() > near
+            if bare and self._has_signal(grow(Bounds(x, y, x + 1, y + 1), near)):
+                found.append([*corner, vertices[(off**2).sum(axis=1).argmin(), 2]])
         return np.array(found, dtype=np.float64).reshape(-1, 3)
-
-
-def _delivered(values: NDArray[np.float64]) -> NDArray[np.float32]:
-    """North up, nodata for NaN."""
-    north_up = np.where(np.isnan(values), NODATA, values)[::-1]
-    return np.ascontiguousarray(north_up, dtype=np.float32)
 
 
 def _signal(
@@ -283,10 +267,7 @@ def _signal(
 
 
 def _counts(signal: PointTable, cell: Bounds, size: int) -> dict[str, NDArray[np.float64]]:
-    """Signal returns per m2, mean intensity; or NaN.
-
-    Intensity is that of first returns, and of all returns of a cell that has no first one.
-    """
+    """Signal returns per m2; mean intensity of first returns, of all in a cell without; or NaN."""
     needed = signal.select([n for n in ("x", "y", "z", *COLUMNS_OF_INTENSITY) if n in signal])
     core = needed.take(inside(signal["x"], signal["y"], cell))
     shape = shape_of(cell, size)

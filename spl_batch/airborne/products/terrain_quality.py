@@ -106,40 +106,28 @@ def terrain_sigma(means: Grid, cell_m: float, scatter: Scatter | None = None) ->
     (rows, columns) float64
         Standard deviation [m]; NaN where no ring holds enough ground to tell.
     """
-    ground = _Ground(means, ~np.isnan(means[:, :, 2]), cell_m)
-    radii = rings(cell_m)
-    integrals = _moments(ground, 2 * radii[-1])
-    levels = _differences(ground, integrals, radii)
+    held, radii = ~np.isnan(means[:, :, 2]), rings(cell_m)
+    if not held.any():
+        return np.full(held.shape, np.nan)
+    places = (means - means[held].mean(axis=0)) / (cell_m, cell_m, 1.0)
+    integrals = _moments(places, 2 * radii[-1])
+    levels = _differences(places, integrals, radii)
     if levels is None:
-        return np.full(ground.held.shape, np.nan)
-    found = _at_distance(levels, distances(ground.held), radii)
+        return np.full(held.shape, np.nan)
+    found = _at_distance(levels, distances(held), radii)
     if scatter is None:
         return found
     layer = _layer_variance(scatter, integrals, levels[0] ** 2, cell_m)
     return np.sqrt(found**2 + layer)
 
 
-class _Ground:
-    """Means of ground, and places in cells from the middle of them all."""
-
-    def __init__(self, means: Grid, held: NDArray[np.bool_], cell_m: float) -> None:
-        self.held = held
-        middle = means[held].mean(axis=0) if held.any() else np.zeros(3)
-        #: Cells and their means; where x, y, z begin [m]; edge of a cell [m].
-        self.by_cell = held, np.ascontiguousarray(means), middle, float(cell_m)
-
-
 def _layer_variance(scatter: Scatter, integrals: Grid, differ: Grid, cell_m: float) -> Grid:
-    """Variance of the ground within the layer that its returns fill: (rows, columns) [m2].
-
-    ``differ``: variance by which a cell's mean differs from those around [m2].
-    """
+    """Variance of ground within the layer of its returns; ``differ``: of means among cells [m2]."""
     shape = scatter.returns.shape
-    slope = np.zeros((2, *shape))
-    widest = 2 * rings(cell_m)[-1]
-    low, high = widest - _SLOPE_CELLS, widest + 1 + _SLOPE_CELLS
-    _put_slopes(integrals, low, high, cell_m, slope)
-    east, north = slope
+    planes = np.zeros((5, *shape))
+    everywhere = np.ones(shape, np.bool_)
+    _fit_planes(integrals, everywhere, 2 * rings(cell_m)[-1], (_SLOPE_CELLS, -1), 1, planes)
+    east, north = planes[3:] / cell_m
     xx, xy, yy, xz, yz, zz = np.moveaxis(scatter.products, -1, 0)
     about = zz - 2 * (east * xz + north * yz)
     about += east * (east * xx + 2 * north * xy) + north * north * yy
@@ -159,20 +147,23 @@ def _layer_variance(scatter: Scatter, integrals: Grid, differ: Grid, cell_m: flo
     return layer
 
 
-def _differences(ground: _Ground, integrals: Grid, radii: tuple[int, ...]) -> Grid | None:
+def _differences(places: Grid, integrals: Grid, radii: tuple[int, ...]) -> Grid | None:
     """Deviation from the planes of rings, around each cell: (rings, rows, columns) [m].
 
     No larger ring gives less. For a ring that holds too little the next larger one speaks; without
     one, the next smaller one, times the ratio of the radii. Where none holds enough, the nearest
     place where one does counts; without any there is nothing: None.
     """
-    levels, widest = np.empty((len(radii), *ground.held.shape)), 2 * radii[-1]
+    shape = places.shape[:2]
+    levels, planes = np.empty((len(radii), *shape)), np.empty((5, *shape))
     for level, ring in zip(levels, radii, strict=True):
-        outer, inner = ((widest - reach, widest + 1 + reach) for reach in (2 * ring, ring - 1))
-        off, _ = _room(2, ground.held.shape, AROUND)
-        _fit_rings(*ground.by_cell, integrals, outer, inner, AROUND + 1, off)
-        _add_up(off)
-        count, total = _boxes(off, AROUND)
+        planes[:] = np.nan
+        off = _off_ring(places, integrals, 2 * radii[-1], ring, planes)
+        known = ~np.isnan(off)
+        sums, given = _room(2, shape, AROUND)
+        given[0], given[1] = known, np.where(known, off, 0.0)
+        _add_up(sums)
+        count, total = _boxes(sums, AROUND)
         level[:] = np.nan
         np.divide(_HALF_NORMAL * total, count, out=level, where=count > _ENOUGH - 0.5)
     nowhere = np.asarray(np.isnan(levels).all(axis=0))
@@ -191,11 +182,23 @@ def _differences(ground: _Ground, integrals: Grid, radii: tuple[int, ...]) -> Gr
     return levels
 
 
-def _moments(ground: _Ground, reach: int) -> Grid:
+def _off_ring(places: Grid, integrals: Grid, reach: int, ring: int, planes: Grid) -> Grid:
+    """How far each cell is off the plane of its ring: (rows, columns) [m]; NaN without one.
+
+    ``planes``: room for :func:`_fit_planes`, of NaN.
+    """
+    x, y, z = np.moveaxis(places, -1, 0)
+    _fit_planes(integrals, ~np.isnan(z), reach, (2 * ring, ring - 1), _ENOUGH, planes)
+    middle_x, middle_y, middle_z, east, north = planes
+    above = east * (x - middle_x) + north * (y - middle_y)
+    off: Grid = np.abs(z - (middle_z + above))
+    return off
+
+
+def _moments(places: Grid, reach: int) -> Grid:
     """1, x, y, z, xx, xy, yy, xz, yz of cells with ground, added up in a :func:`_room`."""
-    held, means, middle, cell_m = ground.by_cell
-    x, y = ((means[:, :, k] - middle[k]) / cell_m for k in (0, 1))
-    z = means[:, :, 2] - middle[2]
+    x, y, z = np.moveaxis(places, -1, 0)
+    held = ~np.isnan(z)
     integrals, field = _room(9, held.shape, reach)
     moments = np.ones_like(x), x, y, z, x * x, x * y, y * y, x * z, y * z
     for room, values in zip(field, moments, strict=True):
@@ -227,10 +230,7 @@ def _box(integrals: Grid, k: int, r: int, c: int, low: int, high: int) -> float:
 
 
 def _boxes(integrals: Grid, reach: int) -> Grid:
-    """Sums over a square around each cell, whole at the edges: (n, rows, columns).
-
-    ``integrals``: added up in a :func:`_room` of that reach.
-    """
+    """Sums over a square around each cell, of what is added up in a :func:`_room` of that reach."""
     low, high = slice(-2 * reach - 1), slice(2 * reach + 1, None)
     summed: Grid = integrals[:, high, high] - integrals[:, low, high]
     summed -= integrals[:, high, low]
@@ -239,76 +239,44 @@ def _boxes(integrals: Grid, reach: int) -> Grid:
 
 
 @njit()
-def _fit_rings(
-    held: NDArray[np.bool_], means: Grid, middle: Grid, cell_m: float, integrals: Grid,
-    outer: tuple[int, int], inner: tuple[int, int], pad: int, out: Grid,
+def _fit_planes(
+    integrals: Grid, wanted: NDArray[np.bool_], room: int, ring: tuple[int, int], least: int,
+    planes: Grid,
 ) -> None:  # fmt: skip
-    """Difference from the plane of a ring [m], and that there is one, behind a rim.
+    """Planes through the ground of a square ring around each cell that is wanted.
 
-    It is put where a cell has ground and its ring holds enough of it.
+    ``integrals``: :func:`_moments` in a room of that reach; ``ring``: how far the ring reaches, and
+    the square that it leaves out, -1 for none [cells]; ``least``: cells with ground in it. Filled:
+    middle x, y, z and rise to east and north, of a cell whose ring holds enough (5, rows, columns).
     """
-    rows, columns = held.shape
+    rows, columns = wanted.shape
+    outer, inner = (room - ring[0], room + 1 + ring[0]), (0, 0)
+    if ring[1] >= 0:
+        inner = room - ring[1], room + 1 + ring[1]
     sums = np.empty(9)
     for r in range(rows):
         for c in range(columns):
-            if not held[r, c]:
+            if not wanted[r, c]:
                 continue
             for k in range(9):
                 sums[k] = _box(integrals, k, r, c, *outer) - _box(integrals, k, r, c, *inner)
-                if k == 0 and not sums[0] > _ENOUGH - 0.5:
+                if k == 0 and not sums[0] > least - 0.5:
                     break
             else:
-                x, y, z, east, north = _plane_of(
-                    sums[0], sums[1], sums[2], sums[3], sums[4], sums[5], sums[6], sums[7], sums[8]
-                )
-                own_x, own_y = (
-                    (means[r, c, 0] - middle[0]) / cell_m,
-                    (means[r, c, 1] - middle[1]) / cell_m,
-                )
-                above = east * (own_x - x) + north * (own_y - y)
-                off = (means[r, c, 2] - middle[2]) - (z + above)
-                out[0, r + pad, c + pad], out[1, r + pad, c + pad] = 1.0, abs(off)
-
-
-@njit()
-def _put_slopes(integrals: Grid, low: int, high: int, cell_m: float, slope: Grid) -> None:
-    """Rise of the plane through the square around each cell to east and north."""
-    _, rows, columns = slope.shape
-    sums = np.empty(9)
-    for r in range(rows):
-        for c in range(columns):
-            for k in range(9):
-                sums[k] = _box(integrals, k, r, c, low, high)
-                if k == 0 and not sums[0] > 0.5:
-                    break
-            else:
-                _, _, _, east, north = _plane_of(
-                    sums[0], sums[1], sums[2], sums[3], sums[4], sums[5], sums[6], sums[7], sums[8]
-                )
-                slope[0, r, c], slope[1, r, c] = east / cell_m, north / cell_m
-
-
-@njit()
-def _plane_of(
-    n: float, x: float, y: float, z: float, xx: float, xy: float, yy: float, xz: float, yz: float
-) -> tuple[float, float, float, float, float]:
-    """Middle of the plane through some cells (x, y, z) and its rise to east and north.
-
-    Of one cell at least, by its :func:`_moments`.
-    """
-    x, y, z = x / n, y / n, z / n
-    xx, yy, xy = xx / n - x * x + _DAMPING, yy / n - y * y + _DAMPING, xy / n - x * y
-    xz, yz = xz / n - x * z, yz / n - y * z
-    scale = xx * yy - xy * xy
-    return x, y, z, (yy * xz - xy * yz) / scale, (xx * yz - xy * xz) / scale
+                x, y, z = sums[1] / sums[0], sums[2] / sums[0], sums[3] / sums[0]
+                xx, yy = sums[4] / sums[0] - x * x + _DAMPING, sums[6] / sums[0] - y * y + _DAMPING
+                xy = sums[5] / sums[0] - x * y
+                xz, yz = sums[7] / sums[0] - x * z, sums[8] / sums[0] - y * z
+                scale = xx * yy - xy * xy
+                planes[0, r, c], planes[1, r, c], planes[2, r, c] = x, y, z
+                planes[3, r, c] = (yy * xz - xy * yz) / scale
+                planes[4, r, c] = (xx * yz - xy * xz) / scale
 
 
 def _at_distance(levels: Grid, away: Grid, radii: tuple[int, ...]) -> Grid:
-    """Deviation at each cell by its distance to ground [cells]; linear between the rings.
-
-    A cell with ground is its own mean of returns: it shares with its neighbours what differs
-    between them. Beyond the largest ring the deviation grows with the distance.
-    """
+    """Deviation at each cell by its distance to ground [cells]; linear between the rings."""
+    # A cell with ground is its own mean of returns: it shares with its neighbours what differs
+    # between them.
     found = levels[0].copy()
     for k in range(1, len(radii)):
         share = np.clip((away - radii[k - 1]) / (radii[k] - radii[k - 1]), 0.0, 1.0)

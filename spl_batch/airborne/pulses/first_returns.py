@@ -55,10 +55,7 @@ def first_returns(table: PointTable) -> NDArray[np.bool_]:
 
 @njit()
 def _mark_highest(order, start, count, z, x, y, number, first):  # type: ignore[no-untyped-def]
-    """Mark the highest return of each pulse; ``start``, ``count``: its place in ``order``.
-
-    Of returns as high the easting decides, then the northing, then the return number, then the row.
-    """
+    """Mark the highest return of each pulse; ``start``, ``count``: its place in ``order``."""
     for k in range(len(start)):
         high = order[start[k]]
         for at in range(start[k] + 1, start[k] + count[k]):

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from rasterio.features import shapes
 from scipy import ndimage
 
-from spl_batch.airborne.products.cell_values import at_centres, held, owned, shape
+from spl_batch.airborne.products.cell_values import at_centres, held, owned, shape_of
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.distinct import distinct
 from spl_batch.lattice.tiles import Bounds, grow, quanta
@@ -115,7 +115,7 @@ class Swaths:
         self._numbers, self._rank = distinct(line)
         self._x, self._y = x, y
         row, column = y // EDGE_Q - self._near.ymin, x // EDGE_Q - self._near.xmin
-        rows, columns = shape(self._near)
+        rows, columns = shape_of(self._near, 1)
         there = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
         at = (self._rank[there] * rows + row[there]) * columns + column[there]
         count = np.bincount(at, minlength=len(self._numbers) * rows * columns)
@@ -233,7 +233,7 @@ def _outline(pieces: Sequence[tuple[Bounds, str]]) -> shapely.MultiPolygon:
     drawn = np.zeros((-(-(north - south) // coarser), -(-(east - west) // coarser)), np.uint8)
     for piece, text in pieces:
         bits = np.frombuffer(zlib.decompress(base64.b85decode(text)), np.uint8)
-        rows, columns = shape(piece)
+        rows, columns = shape_of(piece, 1)
         at = np.nonzero(np.unpackbits(bits, count=rows * columns).reshape(rows, columns))
         drawn[(at[0] + piece.ymin - south) // coarser, (at[1] + piece.xmin - west) // coarser] = 1
     rings = [shapely.geometry.shape(one) for one, _ in shapes(drawn, mask=drawn > 0)]

@@ -3,7 +3,6 @@
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import chain
 from typing import Any, Final
 
 import numpy as np
@@ -24,8 +23,7 @@ from spl_batch.airborne.accuracy.evidence import (
 from spl_batch.airborne.accuracy.requirements import Requirement, requirements
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.diagnostics.terrain_sigma import unsure_share
-from spl_batch.airborne.lines.alignment import AlignedLine
-from spl_batch.airborne.lines.comparison import pairs_of, shifts_of
+from spl_batch.airborne.lines.comparison import pairs_of
 from spl_batch.airborne.lines.pair_table import StripPair
 from spl_batch.airborne.plan.flightlines import Flightline, find_flightlines, swath_totals
 from spl_batch.airborne.pulses.swaths import SPACINGS, Coverage
@@ -42,7 +40,7 @@ from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.run_record import Receipts
 from spl_batch.formats.crs import vertical
 from spl_batch.formats.gps_clock import time_standard
-from spl_batch.formats.units import Units
+from spl_batch.formats.heights import NAVD88
 
 VEGETATION_PER_M2: Final = 1.0
 """Below this density shrubs become ground (``docs/delivery.md``) [1/m2]."""
@@ -69,7 +67,7 @@ def judged(done: Receipts, context: Context) -> tuple[Requirement, ...]:
         single=asked.coverage == "single",
         by_swath=swath_totals(done.get("surface", {}).values(), flown, limits.spacing),
         water_known=workflow.water is not None,
-        swaths=_swaths(strip_pairs(done)),
+        swaths=_swaths(pairs_of(done.get("strip_pairs", {}).values())),
         flightlines=len(flown),
         classes=_classes(done),
         withheld_unclassified=sum(
@@ -80,7 +78,7 @@ def judged(done: Receipts, context: Context) -> tuple[Requirement, ...]:
         has_crs=crs is not None,
         vertical_datum=None if datum is None else datum.name,
         time_standard=_time_standard(flown),
-        units=Units.of(crs),
+        units=context.shown_units,
     )
     return requirements(known)
 
@@ -93,7 +91,7 @@ def checkpoint_report(done: Receipts, context: Context) -> Checkpoints | None:
         return None
     outliers = {*nva.outliers, *vva.outliers}
     return Checkpoints(
-        statement=statement(nva, vva, _class_m(context)),
+        statement=statement(nva, vva, _class_m(context), context.shown_units.of_heights),
         nva=nva,
         vva=vva,
         points=tuple(Checkpoint(**one, outlier=one["id"] in outliers) for one in found),
@@ -107,14 +105,15 @@ def checkpoint_findings(tested: Checkpoints | None, context: Context) -> Iterato
     heights = [(z, z + off) for z, off in ((p.z_m, p.error_m) for p in points) if z and off]
     ratio = float(np.median([z / terrain for z, terrain in heights if terrain] or [1.0]))
     if min(abs(ratio * FOOT_M - 1.0), abs(ratio / FOOT_M - 1.0)) < FEET_ALIKE:
-        yield Finding("C01", {"kind": "feet", "count": len(heights), "ratio": ratio})
+        values = {"kind": "feet", "count": len(heights), "ratio": ratio, "codes": NAVD88}
+        yield Finding("C01", values)
     gross = [one for one in points if one.outlier and abs(one.error_m or 0.0) > limit_m]
     if gross:
         worst = max(gross, key=lambda one: abs(one.error_m or 0.0))
         values = {
-            "kind": "blunder", "count": len(gross), "of": len(points), "limit_cm": 100 * limit_m,
+            "kind": "blunder", "count": len(gross), "of": len(points), "limit_m": limit_m,
             "names": [one.id for one in gross], "worst": worst.id,
-            "error_cm": 100 * (worst.error_m or 0.0),
+            "error_m": worst.error_m or 0.0,
         }  # fmt: skip
         yield Finding("C01", values)
 
@@ -250,19 +249,7 @@ def _quantile(cells: Mapping[int, int], share: float) -> int:
     return next(value for value, n in zip(values, below, strict=True) if n >= wanted)
 
 
-def strip_pairs(done: Receipts) -> tuple[StripPair, ...]:
-    """Pairs of flightlines as they are delivered."""
-    found = (pairs_of(receipt.facts) for receipt in done.get("strip_pairs", {}).values())
-    return tuple(chain.from_iterable(found))
-
-
 def pairs_not_compared(done: Receipts) -> tuple[tuple[str, str], ...]:
     """Flightlines that overlap without planar patches enough to be compared."""
     receipts = done.get("strip_pairs", {}).values()
     return tuple((one, other) for r in receipts for one, other in r.facts.get("not_compared", ()))
-
-
-def alignment(done: Receipts) -> tuple[AlignedLine, ...]:
-    """Shifts that were applied."""
-    found = (shifts_of(receipt.facts) for receipt in done.get("align", {}).values())
-    return tuple(chain.from_iterable(found))

@@ -68,7 +68,10 @@ class Flightline(Part):
 
 
 class DeliveredUnits(Part):
-    """Units of clouds and rasters; the numbers of this report are in metres, as their names say."""
+    """Units that page and screen show: of clouds and rasters, or those that outputs.units names.
+
+    The numbers of this report are in metres, as their names say.
+    """
 
     horizontal: str = Field("metre", description="Of eastings and northings, by PROJ's name.")
     horizontal_m: Number = Field(1.0, description="Metres in one of these.")

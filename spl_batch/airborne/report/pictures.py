@@ -50,6 +50,7 @@ IN_UNIT: Final = ("dtm", "dsm", "chm", "dtm_quality")
 
 NO_REFERENCE: Final = "Without reference points there is nothing to compare with."
 NO_RASTER: Final = "The raster holds no value."
+NOT_MADE: Final = "This raster was not made."
 
 
 def make_pictures(
@@ -105,19 +106,15 @@ def _in_units(name: str, raster: Raster, units: Units) -> Raster:
     return replace(placed, values=raster.masked() / units.vertical_m)
 
 
-def _finished(drawn: Figure, title: str, caption: str) -> Picture:
-    png, width, height = style.to_png(drawn)
-    return Picture(title, caption, f"{title}. {caption}", png, width, height)
-
-
-def _or_missing(
-    raster: Raster | None, title: str, missing: str, draw: Callable[[Raster], Picture]
+def _map(
+    raster: Raster | None, title: str, caption: str, missing: str, draw: Callable[[Raster], Figure]
 ) -> Picture:
+    """A map, or why there is none."""
     if raster is None:
         return Picture(title, missing)
     if not raster.any_value:
         return Picture(title, NO_RASTER)
-    return draw(raster)
+    return style.picture(draw(raster), title, caption)
 
 
 FLAT: Final = 0.25
@@ -152,11 +149,8 @@ def _relief(rasters: Mapping[str, Raster], key: str, units: Units, *, photons: b
     )
     if raster is not None and raster.line_m is not None:
         caption += " The line is the profile's."
-    return _or_missing(
-        raster,
-        title,
-        "This raster was not made.",
-        lambda raster: _finished(draw_relief(raster, title, legend, limits), title, caption),
+    return _map(
+        raster, title, caption, NOT_MADE, lambda given: draw_relief(given, title, legend, limits)
     )
 
 
@@ -188,100 +182,91 @@ class Amount(NamedTuple):
     percent: float = 98.0  #: Share of the cells that the colours resolve, from below [%].
     least: float = 0.0  #: Upper end of the colours, at least [unit of the legend].
     scale: float = 1.0  #: Units of the legend in one of the raster.
-    missing: str = "This raster was not made."  #: Why there is no raster, where there is none.
-
-
-CANOPY: Final = Amount(
-    "Heights above ground (CHM)",
-    "height above ground [{}]",
-    "Surface minus terrain. Open ground is near zero; roofs are even, trees are rough.",
-    style.CANOPY,
-    percent=99.5,
-    least=1.0,
-)
-NOISE: Final = Amount(
-    "Expected background noise",
-    "noise returns per cubic metre",
-    "Solar and dark noise near the surface, from the rates of all beamlets that cross a place. It "
-    "steps where flightlines overlap, and grows over bright ground.",
-    style.SKY,
-    percent=99.0,
-    missing="No noise model was made for this run.",
-)
-QUALITY: Final = Amount(
-    "How well the terrain is known",
-    "standard deviation of the terrain [{}]",
-    "By how far the nearest ground is, and by how much heights differ here over such a distance. "
-    "What was wrongly taken for ground does not show.",
-    style.SKY,
-)
-SIGNAL_DENSITY: Final = Amount(
-    "Point density",
-    "signal returns per square metre",
-    "Signal. Look for gaps between flightlines; the arcs are the track of the circular scan.",
-    style.DENSITY,
-)
-POINT_DENSITY: Final = SIGNAL_DENSITY._replace(
-    legend="points per square metre",
-    caption="All points that take part. Look for gaps between flightlines.",
-)
-STRIPS: Final = Amount(
-    "Height between flightlines",
-    "height between flightlines [cm]",
-    "Median over the planar patches of a place, whichever flightline lies above. An even tint "
-    "along a flightline is an offset of the whole strip, a change across it a roll angle that is "
-    "off.",
-    style.DENSITY,
-    least=1.0,
-    scale=100.0,
-    missing="No two flightlines share enough planar patches to be compared.",
-)
+    missing: str = NOT_MADE  #: Why there is no raster, where there is none.
 
 
 AMOUNTS: Final[Mapping[str, Amount]] = {
-    "chm": CANOPY,
-    "noise_density": NOISE,
-    "dtm_quality": QUALITY,
-    "density": SIGNAL_DENSITY,
-    "strips": STRIPS,
+    "chm": Amount(
+        "Heights above ground (CHM)",
+        "height above ground [{}]",
+        "Surface minus terrain. Open ground is near zero; roofs are even, trees are rough.",
+        style.CANOPY,
+        percent=99.5,
+        least=1.0,
+    ),
+    "noise_density": Amount(
+        "Expected background noise",
+        "noise returns per cubic metre",
+        "Solar and dark noise near the surface, from the rates of all beamlets that cross a "
+        "place. It steps where flightlines overlap, and grows over bright ground.",
+        style.SKY,
+        percent=99.0,
+        missing="No noise model was made for this run.",
+    ),
+    "dtm_quality": Amount(
+        "How well the terrain is known",
+        "standard deviation of the terrain [{}]",
+        "By how far the nearest ground is, and by how much heights differ here over such a "
+        "distance. What was wrongly taken for ground does not show.",
+        style.SKY,
+    ),
+    "density": Amount(
+        "Point density",
+        "signal returns per square metre",
+        "Signal. Look for gaps between flightlines; the arcs are the track of the circular scan.",
+        style.DENSITY,
+    ),
+    "strips": Amount(
+        "Height between flightlines",
+        "height between flightlines [cm]",
+        "Median over the planar patches of a place, whichever flightline lies above. An even tint "
+        "along a flightline is an offset of the whole strip, a change across it a roll angle that "
+        "is off.",
+        style.DENSITY,
+        least=1.0,
+        scale=100.0,
+        missing="No two flightlines share enough planar patches to be compared.",
+    ),
 }
 """Maps of amounts, by the names of their pictures."""
 
+POINT_DENSITY: Final = AMOUNTS["density"]._replace(
+    legend="points per square metre",
+    caption="All points that take part. Look for gaps between flightlines.",
+)
+"""Density where no noise was looked for."""
+
 
 def _amount(raster: Raster | None, of: Amount, units: Units) -> Picture:
-    def draw(given: Raster) -> Picture:
+    def draw(given: Raster) -> Figure:
         shown = given if of.scale == 1.0 else replace(given, values=of.scale * given.masked())
         top = max(spread(reduce_raster(shown).values, 1, of.percent)[1], of.least)
         legend = of.legend.format(units.of_heights[0])
-        drawn = draw_ramp(shown, of.title, legend, ramp=of.ramp, limits=(0.0, top))
-        return _finished(drawn, of.title, of.caption)
+        return draw_ramp(shown, of.title, legend, ramp=of.ramp, limits=(0.0, top))
 
-    return _or_missing(raster, of.title, of.missing, draw)
+    return _map(raster, of.title, of.caption, of.missing, draw)
 
 
 def _difference(raster: Raster | None, statistics: Statistics | None, units: Units) -> Picture:
     title = "Terrain minus reference"
 
-    def draw(given: Raster) -> Picture:
-        size = spread(100 * abs(reduce_raster(given).values), 0, 95)[1]
+    def draw(given: Raster) -> Figure:
+        scaled = replace(given, values=100 * given.masked())
+        size = spread(abs(reduce_raster(scaled).values), 0, 95)[1]
         reach = max(nice(size * 1.6), 2.0)
         of_all = "" if statistics is None or statistics.rmse is None else ", all surfaces"
-        heading = difference_title(f"{title}{of_all}", statistics, units)
-        scaled = replace(given, values=100 * given.masked())
-        limits = (-reach, reach)
-        unit = "DTM minus reference [cm]"
-        drawn = draw_ramp(
-            scaled, heading, unit, ramp=style.DIFFERENCE, limits=limits, extend="both"
-        )
-        return _finished(
-            drawn,
-            title,
-            "Blue is too low, red too high, white is right. Patches that follow buildings or "
-            "trees point to the ground filter, stripes that follow the flight to the alignment "
-            "of flightlines, an even tint to a bias between the two sensors.",
-        )
+        return draw_ramp(
+            scaled, difference_title(f"{title}{of_all}", statistics, units),
+            "DTM minus reference [cm]", ramp=style.DIFFERENCE, limits=(-reach, reach),
+            extend="both",
+        )  # fmt: skip
 
-    return _or_missing(raster, title, NO_REFERENCE, draw)
+    caption = (
+        "Blue is too low, red too high, white is right. Patches that follow buildings or trees "
+        "point to the ground filter, stripes that follow the flight to the alignment of "
+        "flightlines, an even tint to a bias between the two sensors."
+    )
+    return _map(raster, title, caption, NO_REFERENCE, draw)
 
 
 def _histogram(values: NDArray[Any] | None, statistics: Statistics | None, units: Units) -> Picture:
@@ -290,7 +275,7 @@ def _histogram(values: NDArray[Any] | None, statistics: Statistics | None, units
         return Picture(title, NO_REFERENCE)
     if not np.isfinite(values).any():
         return Picture(title, "No difference could be formed.")
-    return _finished(
+    return style.picture(
         draw_histogram(values, statistics, units),
         title,
         "A narrow peak at zero is what one wants. NMAD describes the peak and RMSE the whole: "
@@ -302,7 +287,7 @@ def _profile(profile: Profile | None, *, photons: bool) -> Picture:
     title = "Vertical profile, before and after" if photons else "Vertical profile"
     if profile is None or len(profile.along_m) == 0:
         return Picture(title, "No strip of the survey holds points to show.")
-    return _finished(
+    return style.picture(
         draw_profile(profile),
         title,
         "The same strip twice. Above, every recorded return; below, what each was taken for. "

@@ -13,7 +13,6 @@ from spl_batch.airborne.store.label_tables import read_region, units_within
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.formats.rasters.parts import RasterPart
-from spl_batch.formats.units import Units
 from spl_batch.lattice.tables import TILE_COLUMNS
 from spl_batch.lattice.tiles import Bounds, cells_touching, quanta
 
@@ -53,7 +52,7 @@ def read_strip(
         table["classification"],
         (strip.ymax - strip.ymin) * QUANTUM_M,
         (strip.xmin * QUANTUM_M, middle_m, strip.xmax * QUANTUM_M, middle_m),
-        Units.of(context.crs),
+        context.shown_units,
     )
 
 

@@ -14,9 +14,8 @@ from spl_batch.airborne.diagnostics.air_fill import air_findings
 from spl_batch.airborne.diagnostics.noise_fit import noise_findings, p_values, uniformity
 from spl_batch.airborne.diagnostics.terrain_sigma import terrain_findings
 from spl_batch.airborne.hydro.flattening import bank_findings
-from spl_batch.airborne.lines.comparison import difference_map
+from spl_batch.airborne.lines.comparison import difference_map, pairs_of, shifts_of
 from spl_batch.airborne.report.good_enough import (
-    alignment,
     area_km2,
     checkpoint_findings,
     checkpoint_report,
@@ -24,7 +23,6 @@ from spl_batch.airborne.report.good_enough import (
     judged,
     pairs_not_compared,
     sparse_vegetation,
-    strip_pairs,
     swath_reports,
 )
 from spl_batch.airborne.report.model import (
@@ -57,11 +55,9 @@ from spl_batch.engine.report.run_record import (
     input_file,
     performance,
     provenance,
-    remember,
 )
 from spl_batch.formats.geoid import grid_file
 from spl_batch.formats.rasters.parts import RasterPart, read_overview
-from spl_batch.formats.units import Units
 
 
 def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
@@ -80,9 +76,9 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         density=covered,
         noise=noise,
         swaths=swath_reports(done, context),
-        strips=strip_pairs(done),
+        strips=pairs_of(done.get("strip_pairs", {}).values()),
         strips_not_compared=pairs_not_compared(done),
-        alignment=alignment(done),
+        alignment=shifts_of(done.get("align", {}).values()),
         client_tiles=tuple(
             ClientTile(name=name, points=r.points)
             for name, r in sorted(done.get("deliver_client_tile", {}).items())
@@ -106,7 +102,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
                 *own_points(None if found is None else found.own_share),
             ),
             context.workflow.report.ignore,
-            units=Units.of(context.crs),
+            units=context.shown_units,
         ),
         provenance=_provenance(done, context, facts.reference),
     )
@@ -119,7 +115,6 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         None if found is None else found.differences_m,
     )
     write_both(context.output, report, render(report, pictures))
-    remember(done, context, facts)
     return report
 
 
@@ -133,7 +128,7 @@ def _survey(done: Receipts, context: Context) -> Survey:
         name=workflow.survey.name,
         crs=":".join(authority) if authority else (crs.name if crs is not None else None),
         crs_name=crs.name if crs is not None else None,
-        units=DeliveredUnits(**asdict(Units.of(crs))),
+        units=DeliveredUnits(**asdict(context.shown_units)),
         sensor=workflow.sensor.name if workflow.filtering else None,
         area_km2=area_km2(done, context),
         extent_m=(low[0], high[0], low[1], high[1]),

@@ -13,18 +13,7 @@ from spl_batch.airborne.report.verdicts import (
     terrain_statistics,
     verdicts,
 )
-from spl_batch.constants import (
-    CLASS_BUILDING,
-    CLASS_GROUND,
-    CLASS_HIGH_NOISE,
-    CLASS_HIGH_VEGETATION,
-    CLASS_LOW_NOISE,
-    CLASS_LOW_VEGETATION,
-    CLASS_MEDIUM_VEGETATION,
-    CLASS_UNCLASSIFIED,
-    CLASS_WATER,
-    CLASS_WIRE,
-)
+from spl_batch.constants import CLASS_NAMES
 from spl_batch.engine.report import number_format as text
 from spl_batch.engine.report.page import Front, render_page
 from spl_batch.engine.report.picture import Picture
@@ -51,23 +40,6 @@ LAYERS: Final = (
     "strips",
 )
 """Maps that a reader switches between."""
-
-CLASS_NAMES: Final[Mapping[int, str]] = MappingProxyType(
-    {
-        0: "never classified",
-        CLASS_UNCLASSIFIED: "unclassified",
-        CLASS_GROUND: "ground",
-        CLASS_LOW_VEGETATION: "low vegetation",
-        CLASS_MEDIUM_VEGETATION: "medium vegetation",
-        CLASS_HIGH_VEGETATION: "high vegetation",
-        CLASS_BUILDING: "building",
-        CLASS_LOW_NOISE: "low noise",
-        CLASS_WATER: "water",
-        CLASS_WIRE: "wire",
-        CLASS_HIGH_NOISE: "high noise",
-    }
-)
-"""Classes of LAS that this project gives or reads [LAS 1.4 R15, table 17]."""
 
 OF_PHOTONS: Final = ("noise", "survey")
 """Sections that linear-mode lidar has nothing to say in."""

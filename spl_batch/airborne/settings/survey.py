@@ -80,7 +80,9 @@ class ReferenceSettings(Section):
     points: str | tuple[str, ...] | None = Field(
         None, description="LAS/LAZ with ground class 2, building 6."
     )
-    crs: str | None = Field(None, description="CRS for reference files that carry none.")
+    crs: str | None = Field(
+        None, description="CRS for reference files that carry none, or none of heights."
+    )
     remove_bias: bool = Field(
         False, description="Subtract the median difference before the statistics."
     )
@@ -91,7 +93,9 @@ class ReferenceSettings(Section):
         "vegetated; accuracy_m: the checkpoint's own.",
     )
     checkpoints_crs: str | None = Field(
-        None, description="CRS of checkpoints that state none; by default the survey's."
+        None,
+        description="CRS of checkpoints that state none, or none of heights; by default the "
+        "survey's.",
     )
     checkpoints_accuracy_m: Positive | None = Field(
         None, description="Vertical accuracy of checkpoints that state none, one sigma [m]."
@@ -192,18 +196,17 @@ class OutputSettings(StoreSettings):
         description="CRS in which clouds and rasters are written once more, in the folder "
         "reprojected, e.g. EPSG:6344+5703; with a vertical part heights are transformed as well.",
     )
+    units: Literal["m", "ft", "us-ft"] | None = Field(
+        None,
+        description="Unit of the axes of that CRS, heights too: metres, international or US "
+        "survey feet; without crs, clouds and rasters are written once more in the survey's CRS "
+        "with this unit. Report and screen show it. By default each CRS has its own.",
+    )
     cell: Positive | None = Field(
         None,
-        description="Edge of a raster cell there, in the unit of crs, such as 3 for 3 feet; by "
-        "default products.cell_m in that unit.",
+        description="Edge of a raster cell there, in that unit, such as 3 for 3 feet; by default "
+        "products.cell_m. Without crs and units, rasters alone are written once more.",
     )
-
-    @model_validator(mode="after")
-    def _cell_of_something(self) -> Self:
-        if self.cell is not None and self.crs is None:
-            raise ValueError("cell is that of rasters in another CRS: name crs as well")
-        return self
-
     catalogue: bool = Field(
         True,
         description="STAC catalogue, virtual point cloud, index.gpkg.",

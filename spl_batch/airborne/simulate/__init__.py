@@ -3,15 +3,11 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from spl_batch.airborne.simulate.scene.scene_file import (
-    load_scene,
-    preset_scene,
-    preset_scenes,
-)
+from spl_batch.airborne.simulate.scene.scene_file import load_scene, preset_scene
 from spl_batch.airborne.simulate.survey import simulate
 from spl_batch.engine.verbs.simulation import Simulated
 
-__all__ = ["load_scene", "preset_scene", "preset_scenes", "simulate", "simulate_file"]
+__all__ = ["load_scene", "preset_scene", "simulate", "simulate_file"]
 
 
 def simulate_file(

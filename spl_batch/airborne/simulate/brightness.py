@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from spl_batch.airborne.beams.link_budget import photon_energy_j, signal_constant
+from spl_batch.airborne.beams.link_budget import link_constant, photon_energy_j
 from spl_batch.airborne.simulate.detector import Receiver
-from spl_batch.airborne.simulate.flight import Chunk, Pass, pixel_offsets
+from spl_batch.airborne.simulate.flight import Pass, pixel_offsets
 from spl_batch.airborne.simulate.scene.layout import Layout
 from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays, lit_share
 from spl_batch.airborne.simulate.scene.scene_file import Scene
@@ -53,7 +53,6 @@ def make_optics(scene: Scene) -> Optics:
         sensor.beamlet_pitch_urad * 1e-6,
         math.radians(sensor.array_rotation_deg),
     )
-    efficiency = sensor.hologram_efficiency * sensor.quantum_efficiency * sensor.receiver_efficiency
     return Optics(
         px,
         py,
@@ -62,12 +61,7 @@ def make_optics(scene: Scene) -> Optics:
         # the full divergence is to 1/e2 of the intensity: four standard deviations
         sensor.beam_divergence_urad * 1e-6 / 4,
         _or(scene.detector.range_sigma_m, sensor.range_sigma_m),
-        signal_constant(
-            efficiency,
-            sensor.pulse_energy_uj * 1e-6 / sensor.beamlets,
-            sensor.wavelength_nm,
-            sensor.aperture_m,
-        ),
+        link_constant(sensor),
         scene.sky.extinction_per_m,
     )
 
@@ -130,7 +124,7 @@ def physical_noise(scene: Scene) -> Noise:
     return Noise(solar, dark, share)
 
 
-def solve_noise(scene: Scene, passes: list[Pass], pieces: list[list[Chunk]]) -> Noise:
+def solve_noise(scene: Scene, passes: list[Pass]) -> Noise:
     """Background that gives the density the scene asks for.
 
     A beamlet puts ``rate / cos(off-nadir)`` points into each metre of height. The sum over the
@@ -141,8 +135,8 @@ def solve_noise(scene: Scene, passes: list[Pass], pieces: list[list[Chunk]]) -> 
         return noise
     gain = float(channel_gain(scene).sum())
     total = 0.0
-    for run, chunk_list in zip(passes, pieces, strict=True):
-        for piece in chunk_list:
+    for run in passes:
+        for piece in run.chunks:
             secant = piece.ground_range_m / run.flight.altitude_agl_m
             rate = noise.at(run.sky(run.time_of(piece.shot)))
             total += gain * float((rate * secant)[piece.inside].sum())
@@ -153,9 +147,7 @@ def solve_noise(scene: Scene, passes: list[Pass], pieces: list[list[Chunk]]) -> 
     return Noise(noise.solar_per_m * factor, noise.dark_per_m * factor, noise.ground_share)
 
 
-def tune_wires(
-    scene: Scene, layout: Layout, optics: Optics, passes: list[Pass], pieces: list[list[Chunk]]
-) -> SceneArrays:
+def tune_wires(scene: Scene, layout: Layout, optics: Optics, passes: list[Pass]) -> SceneArrays:
     """Arrays whose wires send back what ``returns_per_m`` asks for.
 
     It integrates over the beamlets that pass one metre of wire. The reflectance that solves it may
@@ -163,9 +155,10 @@ def tune_wires(
     """
     wire = layout.arrays.wire.copy()
     area = scene.extent_m[0] * scene.extent_m[1]
-    inside = sum(int(p.inside.sum()) for chunk_list in pieces for p in chunk_list)
+    pieces = [piece for run in passes for piece in run.chunks]
+    inside = sum(int(piece.inside.sum()) for piece in pieces)
     density = inside / area / len(passes)
-    ranges = np.concatenate([p.ground_range_m for chunk_list in pieces for p in chunk_list])
+    ranges = np.concatenate([piece.ground_range_m for piece in pieces])
     for k, wires in enumerate(scene.wires):
         if wires.returns_per_m is None:
             continue

@@ -11,16 +11,15 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.simulate.air import VOXEL_M, NoiseGrid
 from spl_batch.airborne.simulate.file_writers import (
-    CloudWriter,
+    add_points,
+    cloud_writer,
     folder_of,
     las_header,
     sbet_records,
     write_polygons,
-    write_trajectory_csv,
 )
 from spl_batch.airborne.simulate.flight import Pass
-from spl_batch.airborne.simulate.scene.beam_layers import empty_layers
-from spl_batch.airborne.simulate.scene.from_above import linear_returns, surfaces_at
+from spl_batch.airborne.simulate.scene.beam_layers import linear_returns, surfaces_at
 from spl_batch.airborne.simulate.scene.layout import Layout
 from spl_batch.airborne.simulate.scene.ray_trace import (
     KIND_GROUND,
@@ -117,8 +116,9 @@ def _trajectory(scene: Scene, passes: list[Pass], out: Path) -> None:
         xyz = run.position(time_s) + np.array([*scene.origin_m[:2], 0.0])
         tables.append(np.column_stack([time_s, xyz]))
         records.append(sbet_records(scene.crs, time_s, xyz, run.attitude(time_s)))
-    table = np.concatenate(tables)
-    write_trajectory_csv(out / "trajectory.csv", table[:, 0], table[:, 1:])
+    with replacing(out / "trajectory.csv") as part:
+        header, form = "gps_time,x,y,z", "%.6f,%.4f,%.4f,%.4f"
+        np.savetxt(part, np.concatenate(tables), form, header=header, comments="")
     with replacing(out / "trajectory.sbet") as part:
         np.concatenate(records).tofile(part)
 
@@ -128,15 +128,14 @@ def _reference(scene: Scene, arrays: SceneArrays, path: Path) -> None:
     rng = scene.chance(4)
     n = round(scene.reference.density_per_m2 * scene.extent_m[0] * scene.extent_m[1])
     xy = rng.random((n, 2)) * scene.extent_m
-    z, kind = np.empty((n, 2)), np.zeros((n, 2), dtype=np.uint8)
     above = float(arrays.ground.z.max()) + 500.0
-    linear_returns(rng, arrays, xy, above, LINEAR_SPOT_M, empty_layers(arrays), z, kind)
+    z, kind = linear_returns(rng, arrays, xy, above, LINEAR_SPOT_M)
     header = las_header(scene.crs, scene.origin_m, scene.acquisition.start_s)
-    with replacing(path) as part, CloudWriter(part, header) as cloud:
+    with replacing(path) as part, cloud_writer(part, header) as cloud:
         for first in range(0, n, PULSES_AT_ONCE):
             some = slice(first, min(first + PULSES_AT_ONCE, n))
             noisy = z[some] + scene.reference.noise_m * rng.standard_normal(z[some].shape)
-            cloud.write(_reference_points(scene, first, xy[some], noisy, kind[some]))
+            add_points(cloud, _reference_points(scene, first, xy[some], noisy, kind[some]))
 
 
 def _reference_points(
@@ -173,9 +172,7 @@ def _checkpoints(scene: Scene, arrays: SceneArrays, layout: Layout, path: Path) 
     size = np.array(scene.extent_m)
     xy = INSIDE_M + rng.random((CHECKPOINTS_TRIED, 2)) * np.maximum(size - 2 * INSIDE_M, 0.0)
     error_m = CHECKPOINT_ACCURACY_M * rng.standard_normal(CHECKPOINTS_TRIED)
-    above = np.empty((3, CHECKPOINTS_TRIED))
-    surfaces_at(arrays, xy[:, 0].copy(), xy[:, 1].copy(), above)
-    ground, surface = above[:2]
+    ground, surface, _ = surfaces_at(arrays, *np.ascontiguousarray(xy.T))
     free = ~_built(scene, layout, xy)
     kinds = {"open": surface - ground <= OPEN_M, "vegetated": surface - ground >= CROWN_M}
     lines = ["id,x,y,z,surface,accuracy_m"]
@@ -230,9 +227,8 @@ def _surfaces(
 ) -> NDArray[np.float64]:  # fmt: skip
     """Ground, surface and reflectance at one place of cells of 1 m: (3, rows, columns)."""
     x, y = np.meshgrid(corner[0] + columns + within[0], corner[1] - rows - within[1])
-    above = np.empty((3, *x.shape))
-    surfaces_at(arrays, x.ravel(), y.ravel(), above.reshape(3, -1))
-    return above
+    above: NDArray[np.float64] = surfaces_at(arrays, x.ravel(), y.ravel())
+    return above.reshape(3, *x.shape)
 
 
 def _workflow(scene: Scene) -> dict[str, Any]:

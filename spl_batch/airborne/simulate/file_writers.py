@@ -1,26 +1,26 @@
 """Files of a simulated survey; each is whole or not there."""
 
 import datetime as dt
-import io
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import laspy
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-import pyogrio
 import shapely
 from laspy.header import GpsTimeType
 from numpy.typing import NDArray
 from pyproj import CRS, Proj, Transformer
 
+from spl_batch.airborne.catalogue.catalogues import Layer, write_layers
 from spl_batch.airborne.simulate.flight import Pass
 from spl_batch.airborne.simulate.scene.scene_file import Scene
 from spl_batch.constants import ADJUSTED_STANDARD_OFFSET_S, GPS_WEEK_S, QUANTUM_M
-from spl_batch.formats.files.atomic import replacing, write_bytes
+from spl_batch.formats.files.atomic import replacing
 from spl_batch.formats.trajectory.records import SBET_RECORD
 
 GPS_EPOCH = dt.date(1980, 1, 6)
@@ -51,49 +51,17 @@ def las_header(
     return header
 
 
-class CloudWriter:
-    """A LAZ file that is written piece by piece; ``header``: as :func:`las_header` makes it."""
-
-    def __init__(self, path: Path, header: laspy.LasHeader) -> None:
-        self._header = header
-        self._las = laspy.open(str(path), mode="w", header=header, do_compress=True)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._las.close()
-
-    def write(self, columns: Columns) -> None:
-        """Add points."""
-        record = laspy.ScaleAwarePointRecord.zeros(len(columns["x"]), header=self._header)
-        for name, values in columns.items():
-            record[name] = values
-        self._las.write_points(record)
+def cloud_writer(path: Path, header: laspy.LasHeader) -> laspy.LasWriter:
+    """A LAZ file, to be written piece by piece by :func:`add_points`."""
+    return laspy.open(str(path), mode="w", header=header, do_compress=True)
 
 
-class TruthWriter:
-    """Truth of a file's points; rows of parents count within it."""
-
-    def __init__(self, path: Path) -> None:
-        self._parquet, self._count = pq.ParquetWriter(path, TRUTH, compression="zstd"), 0
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._parquet.close()
-
-    def write(self, points: NDArray[np.void], chosen: NDArray[np.intp]) -> None:
-        """Add the chosen ones of points; a parent in another file has no row in this."""
-        place = np.full(len(points), -1)
-        place[chosen] = np.arange(len(chosen))
-        parent = points["parent_row"][chosen]
-        there = np.where(parent >= 0, place[parent], -1)
-        rows = np.where(there >= 0, there + self._count, -1)
-        columns = [*(points[name][chosen] for name in ("kind", "parent")), rows]
-        self._parquet.write_table(pa.table(columns, schema=TRUTH))
-        self._count += len(chosen)
+def add_points(cloud: laspy.LasWriter, columns: Columns) -> None:
+    """Add points to a file."""
+    record = laspy.ScaleAwarePointRecord.zeros(len(columns["x"]), header=cloud.header)
+    for name, values in columns.items():
+        record[name] = values
+    cloud.write_points(record)
 
 
 def folder_of(scene: Scene) -> str:
@@ -106,7 +74,8 @@ class PointFiles:
 
     def __init__(self, scene: Scene, out: Path, stack: ExitStack) -> None:
         self._scene, self._out, self._open = scene, out, stack
-        self._writers: dict[str, tuple[CloudWriter, TruthWriter]] = {}
+        self._writers: dict[str, tuple[laspy.LasWriter, pq.ParquetWriter]] = {}
+        self._count: Counter[str] = Counter()  # points by file
 
     def write(self, run: Pass, columns: Columns, points: NDArray[np.void]) -> None:
         """Add returns of a flightline as the delivery has them, and the truth of these points."""
@@ -119,8 +88,9 @@ class PointFiles:
         out["x"], out["y"] = self._moved(run, out["x"], out["y"])
         for name, chosen in self._files(run, out):
             cloud, truth = self._writers_of(name, run)
-            cloud.write({key: values[chosen] for key, values in out.items()})
-            truth.write(points, chosen)
+            add_points(cloud, {key: values[chosen] for key, values in out.items()})
+            truth.write_table(_truth(points, chosen, self._count[name]))
+            self._count[name] += len(chosen)
 
     def _moved(self, run: Pass, x: Any, y: Any) -> tuple[Any, Any]:
         """Places in the CRS of a flightline's file."""
@@ -141,7 +111,7 @@ class PointFiles:
         for k, (i, j) in enumerate(tiles.T.tolist()):
             yield f"tile_{i}_{j}", np.flatnonzero(of_point.reshape(-1) == k)
 
-    def _writers_of(self, name: str, run: Pass) -> tuple[CloudWriter, TruthWriter]:
+    def _writers_of(self, name: str, run: Pass) -> tuple[laspy.LasWriter, pq.ParquetWriter]:
         if name not in self._writers:
             scene = self._scene
             east, north, up = scene.origin_m
@@ -155,19 +125,21 @@ class PointFiles:
                 for folder, suffix in ((folder_of(scene), "laz"), ("truth", "parquet"))
             )
             self._writers[name] = (
-                self._open.enter_context(CloudWriter(laz, header)),
-                self._open.enter_context(TruthWriter(parquet)),
+                self._open.enter_context(cloud_writer(laz, header)),
+                self._open.enter_context(pq.ParquetWriter(parquet, TRUTH, compression="zstd")),
             )
         return self._writers[name]
 
 
-def write_trajectory_csv(
-    path: Path, time_s: NDArray[np.float64], xyz_m: NDArray[np.float64]
-) -> None:
-    """Trajectory as gps_time,x,y,z in the survey's CRS."""
-    with replacing(path) as part:
-        table = np.column_stack([time_s, xyz_m])
-        np.savetxt(part, table, "%.6f,%.4f,%.4f,%.4f", header="gps_time,x,y,z", comments="")
+def _truth(points: NDArray[np.void], chosen: NDArray[np.intp], before: int) -> pa.Table:
+    """Truth of the chosen ones of points, behind others in a file, within which parents count."""
+    place = np.full(len(points), -1)
+    place[chosen] = np.arange(len(chosen))
+    parent = points["parent_row"][chosen]
+    there = np.where(parent >= 0, place[parent], -1)
+    rows = np.where(there >= 0, there + before, -1)
+    columns = [*(points[name][chosen] for name in ("kind", "parent")), rows]
+    return pa.table(columns, schema=TRUTH)
 
 
 def sbet_records(
@@ -200,15 +172,5 @@ def sbet_records(
 
 def write_polygons(path: Path, polygons: list[shapely.Polygon], crs: str) -> None:
     """Polygons as GeoPackage with one field, ``id``."""
-    content = io.BytesIO()
-    pyogrio.raw.write(
-        content,
-        geometry=shapely.to_wkb(np.array(polygons, dtype=object)),
-        field_data=[np.arange(1, len(polygons) + 1, dtype=np.int32)],
-        fields=np.array(["id"], dtype=object),
-        geometry_type="Polygon",
-        crs=CRS.from_user_input(crs).to_wkt(),
-        driver="GPKG",
-        layer=path.stem,
-    )
-    write_bytes(path, content.getvalue())
+    layer = Layer(path.stem, polygons, {"id": range(1, len(polygons) + 1)})
+    write_layers(path, [layer], CRS.from_user_input(crs).to_wkt())

@@ -12,20 +12,18 @@ lever arm of Eq. 2.8 are zero: delivered data is calibrated.
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays
 from spl_batch.airborne.simulate.scene.scene_file import Flight, Scene
+from spl_batch.errors import WorkflowError
 from spl_batch.numerics.attitude import rotations
 
 CHUNK_S = 0.25
 """Flight time that is simulated at once, on an absolute grid [s]; it bounds the memory."""
-
-PROBED = 16
-"""Of so many shots the first tells whether they can be near the scene."""
 
 GATE_S = 1.0
 """Flight time over which the range gate stands still, on an absolute grid [s]."""
@@ -62,6 +60,17 @@ def central_vectors(angle: NDArray[np.float64], half_cone_rad: float) -> NDArray
 
 
 @dataclass(frozen=True, slots=True)
+class Chunk:
+    """Shots of one pass that meet the scene, within one piece of time."""
+
+    index: int  #: Which piece; with the pass it keys the random numbers.
+    shot: NDArray[np.int64]  #: (n,): shot numbers since the pass's start second.
+    #: (n,): slant range to the ground along the array's centre [m].
+    ground_range_m: NDArray[np.float64]
+    inside: NDArray[np.bool_]  #: (n,): whether the centre hits the extent itself.
+
+
+@dataclass(frozen=True, slots=True)
 class Pass:
     """One flightline as functions of time."""
 
@@ -71,6 +80,7 @@ class Pass:
     middle_s: float  #: When the aircraft is abeam the scene's centre, adjusted standard time [s].
     half_s: float  #: Half the time during which a shot can meet the scene [s].
     phases: NDArray[np.float64]  #: (6,): of the swings of attitude, height and sky [rad].
+    chunks: tuple[Chunk, ...] = ()  #: Shots that meet the scene, in pieces of :data:`CHUNK_S`.
 
     def position(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Sensor position relative to the scene's origin, height absolute: (n, 3) [m]."""
@@ -120,19 +130,11 @@ class Pass:
         return time
 
 
-@dataclass(frozen=True, slots=True)
-class Chunk:
-    """Shots of one pass that meet the scene, within one piece of time."""
+def make_passes(scene: Scene, arrays: SceneArrays) -> list[Pass]:
+    """Flightlines of a scene, one after the other.
 
-    index: int  #: Which piece; with the pass it keys the random numbers.
-    shot: NDArray[np.int64]  #: (n,): shot numbers since the pass's start second.
-    #: (n,): slant range to the ground along the array's centre [m].
-    ground_range_m: NDArray[np.float64]
-    inside: NDArray[np.bool_]  #: (n,): whether the centre hits the extent itself.
-
-
-def make_passes(scene: Scene) -> list[Pass]:
-    """Flightlines of a scene, one after the other."""
+    Raises WorkflowError if one has no shot that meets the scene.
+    """
     sensor, passes = scene.instrument, []
     diagonal = math.hypot(*scene.extent_m) / 2 + scene.acquisition.margin_m
     for k, flight in enumerate(scene.flights):
@@ -142,7 +144,14 @@ def make_passes(scene: Scene) -> list[Pass]:
         half = (diagonal + 1.1 * circle + 20.0) / flight.speed_m_s
         middle = scene.acquisition.start_s + k * scene.acquisition.turn_s + half + 2.0
         phases = scene.chance(1, k).uniform(0, 2 * np.pi, 6)
-        passes.append(Pass(k + 1, flight, scene, middle, half, phases))
+        run = Pass(k + 1, flight, scene, middle, half, phases)
+        found = tuple(_chunks(run, arrays))
+        if not found:
+            raise WorkflowError(
+                f"flights.{k}: no shot meets the scene; offset_m {flight.offset_m:g} is outside "
+                "the swath, choose a smaller one"
+            )
+        passes.append(replace(run, chunks=found))
     return passes
 
 
@@ -158,8 +167,8 @@ def array_reach_m(scene: Scene, flight: Flight) -> float:
     )
 
 
-def chunks(run: Pass, arrays: SceneArrays) -> Iterator[Chunk]:
-    """Shots whose footprint meets the scene, in pieces of :data:`CHUNK_S`."""
+def _chunks(run: Pass, arrays: SceneArrays) -> Iterator[Chunk]:
+    """Shots whose footprint meets the scene."""
     prf = run.scene.acquisition.prf_hz
     reach = array_reach_m(run.scene, run.flight) + run.scene.acquisition.margin_m
     total = math.ceil((2 * run.half_s + 2) / CHUNK_S)
@@ -167,45 +176,12 @@ def chunks(run: Pass, arrays: SceneArrays) -> Iterator[Chunk]:
         shot = np.arange(
             math.ceil(index * CHUNK_S * prf), math.ceil((index + 1) * CHUNK_S * prf), dtype=np.int64
         )
-        shot = _not_far(run, shot, arrays, reach)
-        outside, range_m = _outside(run, shot, arrays)
+        ground, range_m = ground_points(run, shot, arrays)
+        # how far it is off the extent, negative within [m]
+        outside = np.maximum(-ground[:, :2], ground[:, :2] - run.scene.extent_m).max(axis=1)
         near = outside <= reach
         if near.any():
             yield Chunk(index, shot[near], range_m[near], outside[near] <= 0)
-
-
-def _not_far(
-    run: Pass, shot: NDArray[np.int64], arrays: SceneArrays, reach_m: float
-) -> NDArray[np.int64]:
-    """Shots without those that are too far from the scene by one in :data:`PROBED`.
-
-    Most shots of a pass over a small scene are far off: their places are not worth finding.
-    """
-    outside, _ = _outside(run, shot[::PROBED], arrays)
-    near = outside <= reach_m + _strayed_m(run, arrays, PROBED)
-    return shot[np.repeat(near, PROBED)[: len(shot)]]
-
-
-def _strayed_m(run: Pass, arrays: SceneArrays, shots: int) -> float:
-    """No less than what lies on the ground between two shots, so many apart [m]."""
-    scene = run.scene
-    low, high = float(arrays.ground.z.min()), float(arrays.ground.z.max())
-    above = run.flight.altitude_agl_m + abs(scene.origin_m[2] - low) + 1.0
-    swing = math.radians(scene.acquisition.wobble_deg)
-    cone = math.radians(scene.instrument.half_cone_deg)
-    turned = 2 * math.pi * scene.instrument.scan_rate_hz * math.sin(cone) + 5.0 * swing  # [rad/s]
-    off_nadir = cone + 2 * swing
-    swept = above / math.cos(off_nadir) ** 2 * turned + run.flight.speed_m_s + 1.0  # [m/s]
-    return shots * swept / scene.acquisition.prf_hz + (high - low) * math.tan(off_nadir)
-
-
-def _outside(
-    run: Pass, shot: NDArray[np.int64], arrays: SceneArrays
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """How far shots are off the extent, negative within it, and their slant ranges [m]."""
-    ground, range_m = ground_points(run, shot, arrays)
-    outside = np.maximum(-ground[:, :2], ground[:, :2] - run.scene.extent_m).max(axis=1)
-    return outside, range_m
 
 
 def ground_points(
@@ -233,10 +209,10 @@ def ground_points(
     return origin + range_m[:, None] * beam, range_m
 
 
-def gate_centres(pieces: list[Chunk]) -> dict[int, float]:
+def gate_centres(run: Pass) -> dict[int, float]:
     """Mean ground range of every second since the pass's start, which the gate is set to [m]."""
     sums: dict[int, tuple[float, int]] = {}
-    for piece in pieces:
+    for piece in run.chunks:
         second = int(piece.index * CHUNK_S / GATE_S)
         total, count = sums.get(second, (0.0, 0))
         sums[second] = (total + float(piece.ground_range_m.sum()), count + len(piece.shot))

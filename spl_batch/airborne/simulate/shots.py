@@ -21,20 +21,6 @@ from spl_batch.airborne.simulate.sunlight import brightness
 from spl_batch.numerics.compiled import njit
 
 
-class Beamlet(NamedTuple):
-    """Room for the events of a beamlet."""
-
-    axis: NDArray[np.float64]  #: (3,): unit vector.
-    #: (m,) float64 and (m, 3) int64: events as in
-    #: :func:`~spl_batch.airborne.simulate.detector.add_event`.
-    ranges: NDArray[np.float64]
-    facts: NDArray[np.int64]
-    #: (m,): what it records.
-    kept: NDArray[np.int64]
-    electrons: NDArray[np.int64]
-    layers: NDArray[np.float64]  #: (k, 5): layers of one beam.
-
-
 class Optics(NamedTuple):
     """Instrument and air, as numbers."""
 
@@ -177,47 +163,55 @@ def fire(
     air: Air,
     shots: Shots,
     first: int,
-    room: Beamlet,
+    room: int,
     grid: NoiseGrid,
     out: NDArray[np.void],
 ) -> tuple[int, int]:
     """Simulate shots from row ``first`` on, until they are done or the buffer might overflow.
 
-    Chance is consumed in the order of shots and channels. ``out`` are returns (:data:`POINT`), in
-    shot, channel and range order, room for two shots at least. Returned are the first shot that
-    was not fired, and rows filled.
+    Chance is consumed in the order of shots and channels. ``room``: of a beamlet for events, see
+    :func:`event_room`. ``out`` are returns (:data:`POINT`), in shot, channel and range order, room
+    for two shots at least. Returned are the first shot that was not fired, and rows filled.
     """
     channels, row = len(optics.gain), 0
-    most = len(out) - channels * len(room.ranges)
+    most = len(out) - channels * room
+    axis, layers = np.empty(3), empty_layers(scene)
+    ranges, facts = np.empty(room), np.empty((room, 3), np.int64)
+    kept, electrons = np.empty(room, np.int64), np.empty(room, np.int64)
     for shot in range(first, len(shots.angle)):
         if row > most:
             return shot, row
         for c in range(channels):
             if optics.gain[c] > 0.0:
-                held = _look(rng, scene, optics, air, shots, shot, c, room, grid)
-                row = _finish(rng, receiver, shots, shot, c, held, room, out, row)
+                held = _look(
+                    rng, scene, optics, air, shots, shot, c, axis, layers, ranges, facts, grid
+                )
+                count = record(
+                    rng, ranges, facts, held, shots.gate_stop[shot], receiver, kept, electrons
+                )
+                _write(shots, shot, c, axis, ranges, facts, kept[:count], electrons, out, row)
+                row += count
     return len(shots.angle), row
 
 
 @njit()
 def _look(  # type: ignore[no-untyped-def]
-    rng, scene, optics, air, shots, shot, c, room, grid
+    rng, scene, optics, air, shots, shot, c, axis, layers, ranges, facts, grid
 ):
     """Photo-electrons of one beamlet, before the receiver: how many [count]."""
-    origin, axis, path = shots.origin[shot], room.axis, np.empty(3)
+    origin, path = shots.origin[shot], np.empty(3)
     start, stop, gain = shots.gate_start[shot], shots.gate_stop[shot], optics.gain[c]
-    ranges, facts = room.ranges, room.facts
     beam_direction(
         shots.turn[shot], shots.angle[shot], optics.half_cone_rad, optics.pixel_x[c],
         optics.pixel_y[c], axis,
     )  # fmt: skip
     glow = 0.0
     if scene.ground.light.shape[0] > 0:
-        glow = brightness(scene, (origin, axis), optics.sigma_rad, room.layers)
+        glow = brightness(scene, (origin, axis), optics.sigma_rad, layers)
     noise = gain * (shots.noise_per_m[shot] + glow * shots.ground_per_m[shot])
     n = add_background(rng, ranges, facts, (start, stop), noise, air.gate_fall)
     ray = (origin, axis, path)
-    n, hard = add_signal(rng, scene, optics, gain, ray, room.layers, ranges, facts, n)
+    n, hard = add_signal(rng, scene, optics, gain, ray, layers, ranges, facts, n)
     span, time_s = (start, min(hard, stop)), shots.time_s[shot]
     n = add_air(rng, scene, air, gain, time_s, (origin, axis), span, ranges, facts, n)
     deposit(grid, scene, air, gain, time_s, (origin, axis), (start, stop), noise, span[1])
@@ -225,14 +219,10 @@ def _look(  # type: ignore[no-untyped-def]
 
 
 @njit()
-def _finish(  # type: ignore[no-untyped-def]
-    rng, receiver, shots, shot, c, held, room, out, row
-):
-    """Record one beamlet; the number of rows filled."""
-    ranges, facts, kept = room.ranges, room.facts, room.kept
-    count = record(rng, ranges, facts, held, shots.gate_stop[shot], receiver, kept, room.electrons)
-    origin, axis = shots.origin[shot], room.axis
-    for k in range(count):
+def _write(shots, shot, c, axis, ranges, facts, kept, electrons, out, row):  # type: ignore[no-untyped-def]
+    """What one beamlet has recorded, from a row on."""
+    origin = shots.origin[shot]
+    for k in range(len(kept)):
         at, source, point = ranges[kept[k]], facts[kept[k], 2], out[row + k]
         point.shot = shot
         point.x = origin[0] + at * axis[0]
@@ -240,24 +230,11 @@ def _finish(  # type: ignore[no-untyped-def]
         point.z = origin[2] + at * axis[2]
         point.channel = c + 1
         point.return_number = min(k + 1, 15)
-        point.number_of_returns = min(count, 15)
+        point.number_of_returns = min(len(kept), 15)
         point.kind = facts[kept[k], 0]
         point.parent = facts[kept[k], 1]
-        point.electrons = room.electrons[k]
+        point.electrons = electrons[k]
         point.parent_row = row + source if source >= 0 else -1
-    return row + count
-
-
-def empty_beamlet(scene: SceneArrays, room: int) -> Beamlet:
-    """Room for ``room`` events."""
-    return Beamlet(
-        np.empty(3),
-        np.empty(room),
-        np.empty((room, 3), dtype=np.int64),
-        np.empty(room, dtype=np.int64),
-        np.empty(room, dtype=np.int64),
-        empty_layers(scene),
-    )
 
 
 def event_room(background: float, signal: float, layers: int) -> int:

@@ -12,8 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.simulate.scene.beam_layers import look
-from spl_batch.airborne.simulate.scene.from_above import surfaces_at
+from spl_batch.airborne.simulate.scene.beam_layers import look, surfaces_at
 from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays, bilinear
 from spl_batch.airborne.simulate.scene.scene_file import Scene
 from spl_batch.numerics.compiled import njit
@@ -30,8 +29,7 @@ def lit(scene: Scene, arrays: SceneArrays) -> SceneArrays:
         for first, n in zip(arrays.ground.grid[1::-1], arrays.ground.z.shape, strict=True)
     )
     xx, yy = np.meshgrid(x, y)
-    above = np.empty((3, *xx.shape))
-    surfaces_at(arrays, xx.ravel(), yy.ravel(), above.reshape(3, -1))
+    above = surfaces_at(arrays, xx.ravel(), yy.ravel()).reshape(3, *xx.shape)
     light = sunlight(above[1], step, scene)
     inside = (xx >= 0) & (xx <= scene.extent_m[0]) & (yy >= 0) & (yy <= scene.extent_m[1])
     mean = float((light * above[2])[inside].mean())

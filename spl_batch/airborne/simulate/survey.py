@@ -25,7 +25,6 @@ from spl_batch.airborne.simulate.flight import (
     GATE_S,
     Chunk,
     Pass,
-    chunks,
     gate_centres,
     make_passes,
 )
@@ -37,13 +36,11 @@ from spl_batch.airborne.simulate.shots import (
     POINT,
     Optics,
     Shots,
-    empty_beamlet,
     event_room,
     fire,
 )
 from spl_batch.airborne.simulate.sunlight import lit
 from spl_batch.engine.verbs.simulation import Simulated, finished
-from spl_batch.errors import WorkflowError
 from spl_batch.formats.las.records import SCAN_ANGLE_STEP_DEG
 from spl_batch.numerics.attitude import rotations
 
@@ -97,11 +94,9 @@ def simulate(
     [W17] ch. 2 for signal, noise and scan; 7.1 for afterpulses.
     """
     layout, optics = lay_out(scene), make_optics(scene)
-    passes = make_passes(scene)
-    pieces = [list(chunks(run, layout.arrays)) for run in passes]
-    _check_coverage(passes, pieces)
-    noise = solve_noise(scene, passes, pieces)
-    arrays = tune_wires(scene, layout, optics, passes, pieces)
+    passes = make_passes(scene, layout.arrays)
+    noise = solve_noise(scene, passes)
+    arrays = tune_wires(scene, layout, optics, passes)
     rig = _Rig(
         scene,
         lit(scene, arrays) if scene.sky.by_albedo else arrays,
@@ -111,12 +106,12 @@ def simulate(
         make_air(scene, float(noise.at(np.ones(1))[0])),
         empty_grid(scene),
     )
-    shots = max(sum(len(p.shot) for chunk_list in pieces for p in chunk_list), 1)
+    shots = sum(len(piece.shot) for run in passes for piece in run.chunks)
     done = points = 0
     with ExitStack() as stack:
         files = PointFiles(scene, out, stack)
-        for run, chunk_list in zip(passes, pieces, strict=True):
-            for fired, returned in _fly(rig, run, chunk_list, files):
+        for run in passes:
+            for fired, returned in _fly(rig, run, files):
                 done += fired
                 points += returned
                 if progress is not None:
@@ -125,22 +120,13 @@ def simulate(
     return finished(out, workflow, {"returns": points, "flightlines": len(passes)})
 
 
-def _check_coverage(passes: list[Pass], pieces: list[list[Chunk]]) -> None:
-    for run, chunk_list in zip(passes, pieces, strict=True):
-        if not chunk_list:
-            raise WorkflowError(
-                f"flights.{run.number - 1}: no shot meets the scene; offset_m "
-                f"{run.flight.offset_m:g} is outside the swath, choose a smaller one"
-            )
-
-
-def _most_events(rig: _Rig, run: Pass, pieces: list[Chunk]) -> int:
+def _most_events(rig: _Rig, run: Pass) -> int:
     """Events that a beamlet of a flightline must have room for."""
     gate = rig.scene.gate_of(run.flight)
     sky = np.array([run.flight.sky * (1 + rig.scene.sky.variation)])
     peak = rig.noise.at(sky) + rig.noise.ground_at(sky) * rig.arrays.ground.light.max(initial=0.0)
     gain = float(rig.optics.gain.max(initial=0.0))
-    nearest = min(float(piece.ground_range_m.min()) for piece in pieces) - gate / 2
+    nearest = min(float(piece.ground_range_m.min()) for piece in run.chunks) - gate / 2
     brightest = gain * rig.optics.signal_m2 / max(nearest, 1.0) ** 2
     # tuned wires may send back more than falls on them
     brightest *= max(1.0, float(rig.arrays.wire[:, 9].max(initial=0.0)))
@@ -149,13 +135,12 @@ def _most_events(rig: _Rig, run: Pass, pieces: list[Chunk]) -> int:
     return event_room(noise, brightest, layer_room(rig.arrays))
 
 
-def _fly(rig: _Rig, run: Pass, pieces: list[Chunk], files: PointFiles) -> Iterator[tuple[int, int]]:
+def _fly(rig: _Rig, run: Pass, files: PointFiles) -> Iterator[tuple[int, int]]:
     """Write one flightline piece by piece: shots that were fired, and their returns [count]."""
-    centres = gate_centres(pieces)
-    room = _most_events(rig, run, pieces)
-    beamlet = empty_beamlet(rig.arrays, room)
+    centres = gate_centres(run)
+    room = _most_events(rig, run)
     buffer = np.empty(max(BUFFER_POINTS, 2 * room * len(rig.optics.gain)), POINT)
-    for piece in pieces:
+    for piece in run.chunks:
         gate = rig.scene.gate_of(run.flight)
         centre = centres[int(piece.index * CHUNK_S / GATE_S)]
         shots = _shots(rig, run, piece, centre - gate * rig.scene.acquisition.gate_above)
@@ -163,7 +148,7 @@ def _fly(rig: _Rig, run: Pass, pieces: list[Chunk], files: PointFiles) -> Iterat
         first = 0
         while first < len(piece.shot):
             last, count = fire(
-                rng, rig.arrays, rig.optics, rig.receiver, rig.air, shots, first, beamlet,
+                rng, rig.arrays, rig.optics, rig.receiver, rig.air, shots, first, room,
                 rig.grid, buffer,
             )  # fmt: skip
             points = buffer[:count]

@@ -20,16 +20,11 @@ VOXEL_CHUNK: Final = 32
 def write_voxels(path: Path, part: VoxelPart) -> None:
     """Write a stretch's share of the noise model as a Zarr group, atomically."""
     shape = part.amount.shape
-    arrays: dict[str, NDArray[Any] | None] = {
-        "amount": part.amount,
-        "shots": part.shots,
-        "beamlets": part.beamlets,
-        "squares": part.squares,
-    }
     attributes = {"corner": list(part.corner)}
     with replacing(path, durable=False) as temporary:
         zarr.create_group(str(temporary), attributes=attributes)
-        for name, values in arrays.items():
+        for name in ("amount", "shots", "beamlets", "squares"):
+            values: NDArray[Any] | None = getattr(part, name)
             if values is None:
                 continue
             chunks = (min(VOXEL_CHUNK, shape[0]), min(VOXEL_CHUNK, shape[1]), *values.shape[2:])

@@ -1,11 +1,10 @@
 """What a client asks for: tiles by polygons, contours, clouds and rasters in another CRS."""
 
-import math
 from collections.abc import Iterator, Mapping
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import shapely
@@ -13,9 +12,9 @@ from numpy.typing import NDArray
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
-from spl_batch.airborne.catalogue.catalogues import Layer, write_layers
+from spl_batch.airborne.catalogue.catalogues import Layer, in_units, write_layers
 from spl_batch.airborne.catalogue.delivered_files import CLIENT_TILES, CONTOURS
-from spl_batch.airborne.context import Context
+from spl_batch.airborne.context import Context, reprojection
 from spl_batch.airborne.store.flown_lines import read_shifts
 from spl_batch.airborne.tasks.index import BOXES, CHUNK_POINTS
 from spl_batch.constants import NODATA, QUANTA_PER_M
@@ -31,13 +30,12 @@ from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.formats.reprojection import KEY, Reprojection
 from spl_batch.formats.verified.parquet_npz import read_arrays
 
-EVEN: Final = 1e-6
-"""An edge of an area this near to one of a cell lies on it [cells]."""
-
 
 def deliver_client_tile(args: Mapping[str, Any], context: Context) -> Produced:
     """Cut a tile out of delivered clouds and rasters; what has nothing there is left out."""
-    name, area = args["name"], shapely.from_wkb(args["area"])
+    name, area = args["name"], in_units(shapely.from_wkb(args["area"]), context.units)
+    if args["in_another_unit"]:
+        area = _reprojection(context).shape(area)
     shapely.prepare(area)
     folder, outputs = context.output / CLIENT_TILES, []
     settings = context.workflow.outputs.client_tiles
@@ -58,10 +56,11 @@ def _cut_cloud(
     args: Mapping[str, Any], area: shapely.Geometry, target: Path, context: Context, *, copc: bool
 ) -> int:
     """Points of a tile, written where there are any [count]."""
+    clouds, near = context.output / args["clouds"], shapely.from_wkb(args["area"])
     pieces = [
-        Piece(context.output / "laz" / name, ranges)
+        Piece(clouds / name, ranges)
         for source, name in args["sources"]
-        if (ranges := _ranges(source, area, context))
+        if (ranges := _ranges(source, near, context))
     ]
     if not pieces:
         return 0
@@ -73,7 +72,6 @@ def _cut_cloud(
             whole,
             pieces,
             partial(lies_in, area),
-            units=context.units,
             records_of_file=[] if record is None else [record],
         )
         if points and copc:
@@ -85,7 +83,7 @@ def _cut_cloud(
 
 
 def _ranges(source: str, area: shapely.Geometry, context: Context) -> list[tuple[int, int]]:
-    """Records of a delivered file that may lie in an area, by the boxes of its chunks."""
+    """Records of a delivered file that may lie in an area [m], by the boxes of its chunks."""
     boxes = read_arrays(context.store.path("index", f"{source}.npz"))[BOXES]
     receipt = read_receipt(context.store, "deliver_file", source)
     facts = {} if receipt is None else receipt.facts
@@ -93,22 +91,25 @@ def _ranges(source: str, area: shapely.Geometry, context: Context) -> list[tuple
     starts = np.minimum(np.arange(len(boxes) + 1) * CHUNK_POINTS, points)
     if "kept" in facts:
         starts = np.concatenate([[0], np.cumsum(facts["kept"])])
-    west, south, east, north = np.array(shapely.bounds(area)) * QUANTA_PER_M
-    near = (boxes[:, 0] <= east) & (boxes[:, 2] >= west - 1)
-    near &= (boxes[:, 1] <= north) & (boxes[:, 3] >= south - 1) & (np.diff(starts) > 0)
+    # Boxes are of places that were rounded to whole quanta.
+    west, south, east, north = np.array(shapely.bounds(area)) * QUANTA_PER_M + [-1, -1, 1, 1]
+    near = (boxes[:, 0] <= east) & (boxes[:, 2] >= west)
+    near &= (boxes[:, 1] <= north) & (boxes[:, 3] >= south) & (np.diff(starts) > 0)
     return [(int(starts[k]), int(starts[k + 1])) for k in np.flatnonzero(near).tolist()]
 
 
 def _cut_raster(source: Path, target: Path, area: shapely.Geometry) -> bool:
-    """Cells of a raster whose centres lie in an area; whether there are any."""
+    """Cells of a raster whose centres lie in an area, in its unit; whether there are any."""
     with parts.opened(source) as model:
-        (left_m, top_m, cell_m), (rows, columns) = parts.place_m(model), model.shape
+        place, (rows, columns) = model.transform, model.shape
+        left, top, cell = place.c, place.f, place.a
         west, south, east, north = shapely.bounds(area).tolist()
-        first_col = max(math.floor((west - left_m) / cell_m + EVEN), 0)
-        last_col = min(math.ceil((east - left_m) / cell_m - EVEN), columns)
-        first_row = max(math.floor((top_m - north) / cell_m + EVEN), 0)
-        last_row = min(math.ceil((top_m - south) / cell_m - EVEN), rows)
-
+        across = parts.cells_between((west - left) / cell, (east - left) / cell)
+        down = parts.cells_between((top - north) / cell, (top - south) / cell)
+        (first_col, last_col), (first_row, last_row) = (
+            (max(first, 0), min(past, held))
+            for (first, past), held in ((across, columns), (down, rows))
+        )
         if first_col >= last_col or first_row >= last_row:
             return False
         whole = Window(first_col, first_row, last_col - first_col, last_row - first_row)
@@ -117,8 +118,8 @@ def _cut_raster(source: Path, target: Path, area: shapely.Geometry) -> bool:
             """Those that hold anything."""
             for window in parts.windows(whole, parts.BLOCK):
                 values = model.read(1, window=window)
-                x, y = parts.centres((left_m, top_m), cell_m, window)
-                inside = lies_in(area, x.ravel() * QUANTA_PER_M, y.ravel() * QUANTA_PER_M)
+                x, y = parts.centres((left, top), cell, window)
+                inside = lies_in(area, x.ravel(), y.ravel())
                 kept = np.where(inside.reshape(values.shape), values, np.float32(NODATA))
                 if (kept != NODATA).any():
                     yield window.row_off - first_row, window.col_off - first_col, kept
@@ -131,7 +132,7 @@ def _cut_raster(source: Path, target: Path, area: shapely.Geometry) -> bool:
             target,
             chain([first], some),
             shape=(whole.height, whole.width),
-            place=model.transform * Affine.translation(first_col, first_row),
+            place=place * Affine.translation(first_col, first_row),
             crs=model.crs.to_wkt() if model.crs else None,
             description=model.descriptions[0] or source.name,
             unit=model.units[0] or "",
@@ -170,10 +171,10 @@ def deliver_contours(args: Mapping[str, Any], context: Context) -> Produced:
 
 
 def _reprojection(context: Context) -> Reprojection:
-    named = context.workflow.outputs.crs
-    if named is None:  # a plan makes no such task
+    found = reprojection(context.workflow.outputs, context.crs)
+    if found is None:  # a plan makes no such task
         raise WorkflowError(f"{KEY}: none is named")
-    return Reprojection(context.crs, named)
+    return found
 
 
 def reproject_file(args: Mapping[str, Any], context: Context) -> Produced:

@@ -204,7 +204,7 @@ def _write_fired(
         return []
     clock = ShotClock(args["t0_s"], args["prf_hz"])
     sensor = lines_of_sight.beamlets(args, context).seen
-    part = fired_beamlets.aim(table, beams, model, sensor, clock)
+    part = fired_beamlets.aim(table, beams, model, sensor, clock, args["number"])
     facts["fired"] = part.reach()
     path = context.store.path("fired", f"{args['stretch']}.npz")
     write_arrays(path, part.to_arrays())

@@ -26,7 +26,6 @@ from spl_batch.engine.report.run_record import (
     common_parts,
     indexed_file,
     input_file,
-    remember,
 )
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.formats.verified.parquet_npz import read_arrays, read_columns, read_groups, reading
@@ -110,7 +109,6 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> TrackReport:
         **common_parts(context, replace(facts, findings=tuple(found)), counts.points_in, inputs),
     )
     write_both(context.output, report, render(report, pictures))
-    remember(done, context, facts)
     return report
 
 

@@ -14,8 +14,9 @@ from importlib.util import find_spec
 from typing import Any, Final
 
 from spl_batch.engine.flow.dask_flow import PATIENCE_S, OnDask, lost, workers_of
-from spl_batch.engine.flow.job import Handshake, InProcess, Observer, misfit
+from spl_batch.engine.flow.job import InProcess, Observer, misfit
 from spl_batch.engine.flow.warm_up import WarmUp
+from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.watch.events import WorkersReady
 from spl_batch.errors import StoppedError, WorkflowError
 
@@ -87,80 +88,51 @@ def refuse_no_address(scheduler: str | None) -> None:
 
 @contextlib.contextmanager
 def executor(
+    context: RunContext[Any],
     *,
     workers: int,
     memory_bytes: int,
     scheduler: str | None,
     observer: Observer,
-    handshake: Handshake,
     warm_up: WarmUp | None = None,
 ) -> Iterator[Executor]:
     """Give somewhere to run tasks; workers are started, or looked for, before the first of them.
 
-    Parameters
-    ----------
-    workers : int
-        Worker processes of a local cluster; 0 works in this process.
-    memory_bytes : int
-        Memory limit of each local worker, or what a task may need of others' workers [byte].
-    scheduler : str or None
-        Address of a running scheduler, which is used instead.
-    observer : Observer
-        Notified of what happens to tasks and workers.
-    handshake : Handshake
-        What every worker has to find: this code, and the shared path.
-    warm_up : WarmUp, optional
-        What local workers do before their first task.
-
-    Yields
-    ------
-    Executor
-        Where to run tasks; before the first one it raises :class:`WorkflowError` if the workers
-        cannot do the work, and :class:`StoppedError` if the scheduler cannot be reached.
+    Then it raises WorkflowError if the workers cannot do the work: each has to find the code and
+    the mark of ``context``, and a task may need ``memory_bytes``; StoppedError if the scheduler
+    cannot be reached. Local workers do the ``warm_up`` before their first task.
     """
     if scheduler is None and workers == 0:
-        yield InProcess(observer)
+        yield InProcess(context, observer)
         return
     stack = contextlib.ExitStack()
 
     def connect() -> Any:
-        client = _client(stack, handshake, workers, memory_bytes, scheduler)
+        import dask  # noqa: PLC0415 - slow import, only when used
+        from distributed import Client  # noqa: PLC0415
+
+        stack.enter_context(dask.config.set(SETTINGS))
+        stack.enter_context(silent())
+        address = scheduler or stack.enter_context(local_cluster(workers, memory_bytes))
+        try:
+            client = stack.enter_context(Client(address))
+        except (OSError, TimeoutError, TypeError, ValueError) as error:  # TypeError: TLS, no keys
+            raise StoppedError(
+                f"--scheduler {scheduler}: no answer ({error}); is `dask scheduler` running there?"
+            ) from error
+        if scheduler is not None:
+            check_workers(client, context, memory_bytes)
         dashboard = str(client.dashboard_link or "") if find_spec("bokeh") else ""
         observer.tell(WorkersReady(scheduler or "", dashboard))
         return client
 
-    pool = OnDask(connect, observer, handshake, local=scheduler is None, warm_up=warm_up)
+    pool = OnDask(connect, context, observer, local=scheduler is None, warm_up=warm_up)
     try:
         yield pool
     finally:
         pool.close()
         with contextlib.suppress(TimeoutError):  # on a busy machine workers end with this process
             stack.close()
-
-
-def _client(
-    stack: contextlib.ExitStack,
-    handshake: Handshake,
-    workers: int,
-    memory_bytes: int,
-    scheduler: str | None,
-) -> Any:
-    """Client of a scheduler, ended by a stack."""
-    import dask  # noqa: PLC0415 - slow import, only when used
-    from distributed import Client  # noqa: PLC0415
-
-    stack.enter_context(dask.config.set(SETTINGS))
-    stack.enter_context(silent())
-    address = scheduler or stack.enter_context(local_cluster(workers, memory_bytes))
-    try:
-        client = stack.enter_context(Client(address))
-    except (OSError, TimeoutError, TypeError, ValueError) as error:  # TypeError: TLS without keys
-        raise StoppedError(
-            f"--scheduler {scheduler}: no answer ({error}); is `dask scheduler` running there?"
-        ) from error
-    if scheduler is not None:
-        check_workers(client, handshake, memory_bytes)
-    return client
 
 
 @contextlib.contextmanager
@@ -208,14 +180,14 @@ def _deaf_children() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def check_workers(client: Any, handshake: Handshake, memory_bytes: int) -> None:
+def check_workers(client: Any, context: RunContext[Any], memory_bytes: int) -> None:
     """Refuse workers with other code, another file system or too little memory.
 
     Those that join later are checked by their first task.
     """
     try:
         found = workers_of(client)
-        faults = client.run(misfit, handshake, on_error="return")
+        faults = client.run(misfit, context, on_error="return")
     except (OSError, TimeoutError) as error:
         raise lost(error) from error
     except Exception as error:

@@ -1,9 +1,9 @@
 """Jobs flow to the workers of a dask scheduler, outcomes flow back.
 
 The scheduler holds the order: a job that waits for others is given their futures. What has failed
-travels on as a value, and each job decides what it can do without. The scheduler tries a failed
-task once more, and runs the tasks of a lost worker elsewhere; a task that has ended several workers
-in a row fails, with the nannies' reason.
+travels on as a value, and each job decides what it can do without. One that fails is handed out
+once more. The scheduler runs the tasks of a lost worker elsewhere; a task that has ended several
+workers in a row fails, with the nannies' reason.
 """
 
 import contextlib
@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from spl_batch.engine.flow.job import Handshake, Observer, work
+from spl_batch.engine.flow.job import FAILED, Observer, work
 from spl_batch.engine.flow.warm_up import WarmUp
 from spl_batch.engine.store.working_store import write_receipt
 from spl_batch.engine.tasks.context import RunContext
@@ -45,6 +45,9 @@ PATIENCE_S: Final = 300.0
 HEARING_S: Final = 0.5
 """How long what a nanny reports of a death may come after the death [s]."""
 
+KILLED: Final = "killed"
+"""What a try has come to whose workers died, where another task may have ended them."""
+
 _MEMORY_TOPIC: Final = "worker-restart-memory"
 """Where a nanny reports that it has ended its worker for its memory."""
 
@@ -54,9 +57,7 @@ class _Trial:
     """Jobs on their way together."""
 
     jobs: Mapping[Need, Job]
-    context: RunContext[Any]
     future: Any
-    number: int = 1
     began_on: str = ""
 
 
@@ -70,13 +71,13 @@ class OnDask:
     def __init__(
         self,
         connect: Callable[[], Any],
+        context: RunContext[Any],
         observer: Observer,
-        handshake: Handshake,
         *,
         local: bool,
         warm_up: WarmUp | None = None,
     ) -> None:
-        self.observer, self.handshake, self.local = observer, handshake, local
+        self.context, self.observer, self.local = context, observer, local
         self.client: Any = None
         self._connect, self._warm_up = connect, warm_up
         self._trials: dict[Any, _Trial] = {}  # by the keys of futures
@@ -111,7 +112,7 @@ class OnDask:
         batches = BATCHES_PER_THREAD * sum(self._watch.known.values())
         return min(-(-count // batches), BATCH_TASKS) if batches else 1
 
-    def submit(self, jobs: Sequence[Job], context: RunContext[Any], number: int = 1) -> None:
+    def submit(self, jobs: Sequence[Job]) -> None:
         """Hand jobs to the scheduler, with the futures of what they wait for."""
         if self.client is None:
             self._begin()
@@ -125,25 +126,21 @@ class OnDask:
             ]
             future = self.client.submit(
                 work,
-                *(sent, context, self.handshake, self._topic),
+                *(sent, self.context, self._topic),
                 *(self._trials[key].future for key in needed),
                 key=(f"{step}-{self.client.id}", name, time.monotonic_ns()),
-                retries=1,
                 pure=False,
             )
         except Exception as error:
             raise lost(error) from error
-        self._trials[future.key] = _Trial({job.need: job for job in jobs}, context, future, number)
+        self._trials[future.key] = _Trial({job.need: job for job in jobs}, future)
         self._keys |= dict.fromkeys(self._trials[future.key].jobs, future.key)
         self._ended.add(future)
 
     def ended(self) -> Sequence[Outcome]:
         """Wait for the next jobs to end that were submitted together.
 
-        Raises
-        ------
-        StoppedError
-            If the scheduler is lost or a task met something that concerns everything.
+        StoppedError if the scheduler is lost or a task met something that concerns everything.
         """
         for future, result in self._ended:
             trial = self._trials.pop(future.key, None)
@@ -151,9 +148,7 @@ class OnDask:
                 continue
             for need in trial.jobs:
                 del self._keys[need]
-            outcomes = self._outcomes(future, result, trial)
-            if outcomes:
-                return outcomes
+            return self._outcomes(future, result, trial)
         raise self._watch.fault or lost("its futures are gone")
 
     def close(self) -> None:
@@ -172,7 +167,7 @@ class OnDask:
                 trial.future.cancel()
 
     def _outcomes(self, future: Any, result: Any, trial: _Trial) -> Sequence[Outcome]:
-        """What has come of jobs; nothing where they are tried again."""
+        """What has come of jobs."""
         from distributed.scheduler import KilledWorker  # noqa: PLC0415
 
         if future.status == "finished":
@@ -188,24 +183,25 @@ class OnDask:
         jobs = [*trial.jobs.values()]
         # Of several nobody knows which one it was; and what a job waits for may have failed.
         if len(jobs) > 1 or any(need in self._keys for need in jobs[0].open):
-            return [Outcome(job.need, None, again=True) for job in jobs]
+            return [Outcome(job.need, None, again=job.tried) for job in jobs]
+        (job,) = jobs
         if isinstance(error, KilledWorker):
-            return self._killed(error, trial, jobs[0])
+            return [self._killed(error, trial, job)]
+        if FAILED not in job.tried:
+            return [Outcome(job.need, None, again=(*job.tried, FAILED))]
         # The worker could not even begin.
-        reason = f"{type(error).__name__}: {error}"
-        return [Outcome(jobs[0].need, failure(jobs[0].task, jobs[0].key, reason))]
+        return [Outcome(job.need, failure(job.task, job.key, f"{type(error).__name__}: {error}"))]
 
-    def _killed(self, killed: Any, trial: _Trial, job: Job) -> Sequence[Outcome]:
+    def _killed(self, killed: Any, trial: _Trial, job: Job) -> Outcome:
         """Failure of a task that has lost all the workers that it was given to."""
         if killed.task != trial.future.key:  # what it waits for has
-            return [Outcome(job.need, None, again=True)]
+            return Outcome(job.need, None, again=job.tried)
         last, tries = killed.last_worker, killed.allowed_failures + 1
         time.sleep(HEARING_S)
         # It may have waited behind the guilty one, or run beside it in another thread.
         alone = trial.began_on == last.address and last.nthreads == 1
-        if trial.number == 1 and not alone:
-            self.submit([job], trial.context, 2)
-            return []
+        if not alone and KILLED not in job.tried:
+            return Outcome(job.need, None, again=(*job.tried, KILLED))
         if last.address in self._starved:
             limit = f"{last.memory_limit / 2**20:.0f} MiB"
             why = f"OutOfMemory: its worker needed more than {limit}, on each of {tries} tries"
@@ -217,8 +213,8 @@ class OnDask:
             )
             code = "F04"
         receipt = failure(job.task, job.key, why, code=code)
-        write_receipt(trial.context.store, receipt)
-        return [Outcome(job.need, receipt)]
+        write_receipt(self.context.store, receipt)
+        return Outcome(job.need, receipt)
 
     def _began(self, event: tuple[float, Mapping[str, Any]]) -> None:
         need = tuple(event[1]["need"])

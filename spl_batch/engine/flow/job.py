@@ -10,7 +10,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, Final, Protocol
 
-from spl_batch.engine.store.working_store import read_receipt
+from spl_batch.engine.store.output_lock import lock_file
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.runner import code_version, do
 from spl_batch.engine.tasks.spare_memory import limit_memory
@@ -30,22 +30,13 @@ class Observer(Protocol):
         """Take in that a worker has begun a task."""
 
 
-@dataclass(frozen=True, slots=True)
-class Handshake:
-    """What every worker has to find: this code, and this run's mark on the shared path."""
-
-    receiver: str
-    code: str  #: Version of the code that this receiver's tasks run.
-    mark: str
-    content: str
-
-
 @dataclass(slots=True)
 class InProcess:
     """Does one job after the other, here; for debugging and for tests."""
 
+    context: RunContext[Any]
     observer: Observer
-    waiting: deque[tuple[Job, RunContext[Any]]] = field(default_factory=deque)
+    waiting: deque[Job] = field(default_factory=deque)
 
     @property
     def has_room(self) -> bool:
@@ -56,45 +47,33 @@ class InProcess:
         """One at a time."""
         return 1
 
-    def submit(self, jobs: Sequence[Job], context: RunContext[Any]) -> None:
+    def submit(self, jobs: Sequence[Job]) -> None:
         """Take jobs."""
-        self.waiting.extend((job, context) for job in jobs)
+        self.waiting.extend(jobs)
 
     def ended(self) -> Sequence[Outcome]:
         """Do the next job; there is no other worker that could try one again."""
-        job, context = self.waiting.popleft()
+        job = self.waiting.popleft()
         self.observer.started(job.task, "this process")
-        return [do(job, context)]
+        return [do(job, self.context)]
 
 
 REPORT_S: Final = 0.5
 """A worker reports at most once in so long at which task of a batch it is [s]."""
 
 
-class TryAgainError(Exception):
-    """A task has failed for the first time in a run: its scheduler gives it another try."""
+FAILED: Final = "failed"
+"""What a try has come to that raised something: such a job gets another one in a run."""
 
 
 def work(
-    jobs: Sequence[Job],
-    context: RunContext[Any],
-    handshake: Handshake,
-    topic: str,
-    *needed: Sequence[Outcome],
+    jobs: Sequence[Job], context: RunContext[Any], topic: str, *needed: Sequence[Outcome]
 ) -> list[Outcome]:
-    """Do jobs on a worker, where what they waited for has come to its end.
-
-    One of several that fails for the first time in this run is to be done again by itself.
-
-    Raises
-    ------
-    TryAgainError
-        If a single one does.
-    """
+    """Do jobs on a worker, where what they waited for has come to its end."""
     from distributed import get_worker  # noqa: PLC0415
 
     worker = get_worker()
-    fault = misfit(handshake)
+    fault = misfit(context)
     if fault:
         raise StoppedError(f"worker {worker.address} {fault}; mend it and run again")
     limit_memory(worker.memory_manager.memory_limit)
@@ -103,33 +82,34 @@ def work(
         if time.monotonic() - reported_s >= REPORT_S:
             worker.log_event(topic, {"need": job.need, "worker": worker.address})
             reported_s = time.monotonic()
-        before = read_receipt(context.store, *job.need)
-        with owned_by(handshake.mark, handshake.content):
-            outcome = do(job, context, known, handshake.content)
+        with owned_by(str(lock_file(context.output)), context.mark):
+            outcome = do(job, context, known)
         receipt = outcome.receipt
         # A damaged file is damaged for all; it is made again, which takes more than a try.
-        if receipt and receipt.failed and "damaged" not in receipt.facts:
-            tried = before is not None and before.facts.get("run") == handshake.content
-            if not tried and len(jobs) == 1:
-                raise TryAgainError(receipt.reason)
-            outcome = outcome if tried else Outcome(job.need, None, again=True)
+        final = FAILED in job.tried or receipt is None or "damaged" in receipt.facts
+        if receipt and receipt.failed and not final:
+            outcome = Outcome(job.need, None, again=(*job.tried, FAILED))
         outcomes.append(outcome)
     return outcomes
 
 
-@cache
-def misfit(handshake: Handshake) -> str:
+def misfit(context: RunContext[Any]) -> str:
     """Why this process cannot work for a run; empty where it can."""
-    code = code_version(handshake.receiver)
-    if code != handshake.code:
+    own = code_version(context.workflow.kind)
+    if own != context.code:
         return (
-            f"has spl_batch {code}, here it is {handshake.code} "
+            f"has spl_batch {own}, here it is {context.code} "
             "(the version, and a hash of code and libraries)"
         )
-    # A shared file system may take a while to show a new file everywhere.
+    return _unseen(lock_file(context.output), context.mark)
+
+
+@cache
+def _unseen(lock: Path, mark: str) -> str:
+    """Why a run's mark cannot be seen here: a shared file system may take a while to show it."""
     for wait_s in (0.0, 0.2, 1.0, 4.0):
         time.sleep(wait_s)
         with contextlib.suppress(OSError):
-            if Path(handshake.mark).read_text(encoding="utf-8") == handshake.content:
+            if lock.read_text(encoding="utf-8") == mark:
                 return ""
-    return f"does not see {handshake.mark} as it is here: all machines must share that path"
+    return f"does not see {lock} as it is here: all machines must share that path"

@@ -57,7 +57,7 @@ def render_page(
     package: str = HOME,
     **more: Any,
 ) -> str:
-    """The page of a report.
+    """The page of a report: HTML without any other file; the same input gives the same text.
 
     Parameters
     ----------
@@ -66,11 +66,6 @@ def render_page(
     **more
         More for the template; ``pictures``, a mapping of str to
         :class:`~spl_batch.engine.report.picture.Picture`, is always among it.
-
-    Returns
-    -------
-    str
-        HTML without any reference to another file; the same input gives the same text.
     """
     made = environment(package).get_template(template)
     return made.render(

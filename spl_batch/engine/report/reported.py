@@ -5,6 +5,7 @@ from string import Formatter
 from typing import Any, Final
 
 from spl_batch.engine.findings import Box, Finding, settled, table
+from spl_batch.engine.report.number_format import as_ascii, height, length_in_unit
 from spl_batch.engine.report.parts import FindingReport
 from spl_batch.errors import counted, grouped, named
 from spl_batch.formats.units import METRES, Units
@@ -24,14 +25,12 @@ def reported(
 
     Parameters
     ----------
-    findings : iterable of Finding
-        All of a run, in the order in which the report has them.
     ignored : collection of str
         Codes that are left out (``report.ignore``).
     notes : bool
         Whether notes for the operator are wanted, too.
     units : Units
-        What sentences give places in.
+        What sentences give places and heights in.
     """
     alike: dict[tuple[str, object, object], list[Finding]] = {}
     for one in settled(findings, ignored):
@@ -51,9 +50,9 @@ def _as_one(alike: list[Finding], units: Units) -> FindingReport:
     ordered = sorted(alike, key=lambda one: -(one.badness or 0.0))
     subjects = tuple(dict.fromkeys(one.subject for one in ordered if one.subject))
     code = table()[worst.code]
-    template = code.sentence(worst.values.get("kind", ""))
+    template, words = code.sentence(worst.values.get("kind", "")), _Words(units.of_heights)
     sentence, consequence, remedy = (
-        _WORDS.vformat(text, (), worst.values) for text in (template, code.consequence, code.remedy)
+        words.vformat(text, (), worst.values) for text in (template, code.consequence, code.remedy)
     )
     if worst.place is not None:
         sentence = f"{sentence}, {_within(worst.place, units)}"
@@ -87,11 +86,20 @@ def _within(place: Box, units: Units) -> str:
     return f"within x {west} to {east} and y {south} to {north} {name}"
 
 
+_OF_HEIGHTS: Final = {"length": length_in_unit, "height": height}
+"""Specifications of values in metres, and how they are written in the unit of delivery."""
+
+
 class _Words(Formatter):
-    """Numbers as every message has them."""
+    """Numbers as every message has them; ``of_heights``: unit of delivery, and metres in it."""
+
+    def __init__(self, of_heights: tuple[str, float]) -> None:
+        self._of_heights = of_heights
 
     def format_field(self, value: Any, format_spec: str) -> str:
         """A value in words; a specification of letters counts what it names."""
+        if format_spec in _OF_HEIGHTS:
+            return as_ascii(_OF_HEIGHTS[format_spec](value, self._of_heights))
         if isinstance(value, list | tuple):
             return named(value)
         if isinstance(value, int) and not isinstance(value, bool):
@@ -100,6 +108,3 @@ class _Words(Formatter):
                 return counted(value, noun, verb)
             return format(value, format_spec) if format_spec else grouped(value)
         return format(value, format_spec)
-
-
-_WORDS: Final = _Words()

@@ -28,7 +28,6 @@ from spl_batch.engine.tasks.runner import LIBRARIES, build_version, library_vers
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.errors import StoreError
 from spl_batch.formats.files.atomic import checksum
-from spl_batch.formats.units import Units
 from spl_batch.imports import content_hash, imported, module_file
 from spl_batch.receivers import HOMES
 
@@ -108,9 +107,10 @@ def remember(done: Receipts, context: RunContext[Any], facts: RunFacts) -> None:
 
 @cache
 def report_code(receiver: str) -> str:
-    """Hash of the code that makes a receiver's report, which decides no result."""
-    start = module_file(HOMES[receiver].receiver.partition(":")[0])
-    modules = imported(start) if start is not None else frozenset()
+    """Hash of the code that makes a receiver's plan and report, which decides no result."""
+    places = (HOMES[receiver].receiver, HOMES[receiver].summarise)
+    files = (module_file(place.partition(":")[0]) for place in places)
+    modules = frozenset[Path]().union(*(imported(file) for file in files if file is not None))
     pages = {page for folder in {file.parent for file in modules} for page in folder.glob("*.j2")}
     return f"{content_hash({*modules, *pages})} matplotlib {version('matplotlib')}"
 
@@ -143,7 +143,7 @@ def common_parts(
         "performance": performance(facts, points),
         "failures": facts.failures,
         "findings": reported(
-            facts.findings, context.workflow.report.ignore, units=Units.of(context.crs)
+            facts.findings, context.workflow.report.ignore, units=context.shown_units
         ),
         "provenance": provenance(context, inputs),
     }

@@ -6,21 +6,27 @@ from typing import Annotated, Final
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator
 
-from spl_batch.constants import FOOT_M, US_FOOT_M
 from spl_batch.engine.findings import table
 from spl_batch.errors import named
+from spl_batch.formats.units import COMMON, NAMES
 
 Positive = Annotated[float, Field(gt=0)]
 Share = Annotated[float, Field(gt=0, lt=1)]
 
-_WITH_UNIT: Final = re.compile(r"\s*([0-9.]+)\s*(ft|us-ft|m)\s*")
-_METRES_IN: Final = {"m": 1.0, "ft": FOOT_M, "us-ft": US_FOOT_M}
+_WITH_UNIT: Final = re.compile(r"\s*(.*?)\s*(us-ft|ft|m)?\s*")
 
 
 def _in_metres(value: object) -> object:
-    """A length with a unit, in metres; anything else as it is."""
+    """A text, with a unit or without, in metres; anything else as it is."""
     found = _WITH_UNIT.fullmatch(value) if isinstance(value, str) else None
-    return value if found is None else float(found[1]) * _METRES_IN[found[2]]
+    if found is None:
+        return value
+    try:
+        return float(found[1]) * COMMON[NAMES[found[2] or "m"]]
+    except ValueError:
+        raise ValueError(
+            "write metres, or a length with its unit: 15 m, 50 ft (international feet) or 50 us-ft"
+        ) from None
 
 
 Length = Annotated[Positive, BeforeValidator(_in_metres, json_schema_input_type=float | str)]

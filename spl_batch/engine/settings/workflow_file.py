@@ -1,17 +1,22 @@
-"""Workflow files of any receiver: read, overridden, checked against the receiver's model."""
+"""Workflow files of any receiver: read, overridden, checked against the receiver's model.
+
+A file that has faults is refused in one line: every fault, and the nearest known key.
+"""
 
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, get_args
 
 import yaml
+from pydantic import BaseModel, ValidationError
 
 from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.settings.mistaken_file import refuse_urls
-from spl_batch.engine.settings.validation import validated
-from spl_batch.errors import WorkflowError, reason_of
+from spl_batch.errors import WorkflowError, brief, reason_of
 from spl_batch.receivers import HOMES, IMAGING, workflow_model
+
+M = TypeVar("M", bound=BaseModel)
 
 
 def parse_any(content: Mapping[str, Any], where: str) -> BaseWorkflow:
@@ -31,13 +36,7 @@ def parse_any(content: Mapping[str, Any], where: str) -> BaseWorkflow:
 
 
 def known_kind(content: Mapping[str, Any], where: str) -> str:
-    """Receiver that a file is for, by its ``kind``; airborne surveys where it has none.
-
-    Raises
-    ------
-    WorkflowError
-        If there is no such receiver.
-    """
+    """Receiver that a file is for, by its ``kind``; airborne surveys where it has none."""
     kind = content.get("kind", IMAGING)
     if kind not in HOMES:
         near = difflib.get_close_matches(str(kind), HOMES, n=1, cutoff=0.0)
@@ -69,14 +68,9 @@ def workflow_content(path: Path, overrides: Sequence[str]) -> dict[str, Any]:
 
 
 def read_mapping(path: Path, otherwise: str) -> dict[str, Any]:
-    """Content of a YAML file that holds a mapping.
+    """Content of a YAML file that holds a mapping; ``otherwise``: what is said of another one.
 
-    ``otherwise``: the message where it holds something else.
-
-    Raises
-    ------
-    WorkflowError
-        If the file cannot be read, is not YAML, names a key twice, or holds no mapping.
+    WorkflowError if it cannot be read, is not YAML, names a key twice, or holds no mapping.
     """
     refuse_urls(path)
     try:
@@ -138,3 +132,56 @@ def parse_yaml(text: str) -> Any:
         return yaml.load(text, _Loader)  # noqa: S506 - a safe loader
     except (ValueError, RecursionError) as error:  # of a date that is none, or of sections too deep
         raise yaml.YAMLError(str(error)) from None
+
+
+def validated(model: type[M], content: Mapping[str, Any], where: str) -> M:
+    """Content as a model.
+
+    Raises
+    ------
+    WorkflowError
+        One line that lists every fault.
+    """
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        faults = (_fault(e, model) for e in error.errors(include_url=False))
+        raise WorkflowError(f"{where}: {'; '.join(filter(None, faults))}") from None
+
+
+def _fault(error: Any, model: type[BaseModel]) -> str:
+    """A fault in words; empty for "no name", where a mapping may be given as well."""
+    given = error.get("input")
+    if isinstance(given, Mapping) and error["type"] == "string_type" and error["loc"][-1] == "str":
+        return ""
+    # pydantic names the member of a union on the way, as in survey.sensor.Sensor.prf.
+    parts = [str(part) for part in error["loc"] if not str(part)[:1].isupper()]
+    place = ".".join(parts[:-1] if parts[-1:] == ["str"] else parts)
+    if error["type"] == "extra_forbidden":
+        near = _nearest([part for part in parts if not part.isdigit()], [*_keys(model)])
+        return f"{place}: no such key; the nearest known key is {near!r}"
+    message = error["msg"].removeprefix("Value error, ")
+    if error["type"] == "float_parsing" and place.endswith("_m"):
+        message = "this key takes a number of metres, without a unit"
+    shown = "" if isinstance(given, dict) else f" (found {brief(repr(given), 100)})"
+    return f"{place}: {message[0].lower()}{message[1:]}{shown}" if place else message
+
+
+def _nearest(names: Sequence[str], known: Sequence[tuple[str, ...]]) -> str:
+    """Known key most like an unknown one, those of its own section first."""
+    own = [key for key in known if key[:-1] == tuple(names[:-1])]
+    for keys, cutoff in ((own, 0.6), (known, 0.0)):
+        near = difflib.get_close_matches(names[-1], [key[-1] for key in keys], n=1, cutoff=cutoff)
+        if near:
+            return ".".join(next(key for key in keys if key[-1] == near[0]))
+    return ""
+
+
+def _keys(annotation: Any, above: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """Path of every key of a section and below it, also of members of unions and of tuples."""
+    for part in get_args(annotation):
+        yield from _keys(part, above)
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        for name, field in annotation.model_fields.items():
+            yield (*above, name)
+            yield from _keys(field.annotation, (*above, name))

@@ -25,18 +25,10 @@ PATIENCE_S: Final = 1.0
 
 @contextmanager
 def locked(output: Path) -> Iterator[str]:
-    """Keep two runs out of one output.
+    """Keep two runs out of one output; WorkflowError if one works there, or none can write there.
 
-    Yields
-    ------
-    str
-        What the lock file holds while the block runs: who works here, and a token that no
-        other run has.
-
-    Raises
-    ------
-    WorkflowError
-        If another run works there, or nothing can be written there.
+    Gives what the lock file holds while the block runs: who works here, and a token that no other
+    run has.
     """
     path = lock_file(output)
     try:

@@ -10,6 +10,7 @@ from pyproj import CRS
 from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.store.working_store import Store
 from spl_batch.formats.files.atomic import real_path
+from spl_batch.formats.units import Units
 
 W = TypeVar("W", bound=BaseWorkflow)
 
@@ -23,6 +24,7 @@ class RunContext(Generic[W]):
     output: Path
     crs_wkt: str  #: CRS of what is processed as WKT; empty where none is known.
     code: str  #: Version of the code, part of every key.
+    mark: str = ""  #: What the lock file of the output holds while this run works there.
 
     @property
     def store(self) -> Store:
@@ -33,6 +35,11 @@ class RunContext(Generic[W]):
     def crs(self) -> CRS | None:
         """CRS of the processed data; None without one."""
         return CRS.from_wkt(self.crs_wkt) if self.crs_wkt else None
+
+    @property
+    def shown_units(self) -> Units:
+        """Units in which report and screen give places and heights."""
+        return Units.of(self.crs)
 
     def resolve(self, name: str) -> Path:
         """Path of the workflow, seen from its folder."""

@@ -10,7 +10,6 @@ import time
 import traceback
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import replace
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from itertools import chain
@@ -81,10 +80,7 @@ def build_version() -> str:
 def code_version(receiver: str) -> str:
     """Version of the project, hash of the code and of the libraries that decide results.
 
-    Parameters
-    ----------
-    receiver : str
-        A workflow's ``kind``: code that its tasks do not import changes nothing of its results.
+    ``receiver``: a workflow's ``kind``; code that its tasks do not import changes no result.
     """
     digest = hashlib.blake2b(content_hash(task_files(receiver)).encode(), digest_size=8)
     for name in DECISIVE:
@@ -152,7 +148,7 @@ def finished(task: Task, key: str, context: RunContext[Any]) -> Receipt | None:
     return receipt if all(same) else None
 
 
-def run_task(task: Task, key: str, context: RunContext[Any], run: str = "") -> Receipt:
+def run_task(task: Task, key: str, context: RunContext[Any]) -> Receipt:
     """Do one task and leave its receipt, also when it fails: with a reason where the task failed.
 
     What concerns every task, such as a full disk, raises StoppedError.
@@ -165,7 +161,7 @@ def run_task(task: Task, key: str, context: RunContext[Any], run: str = "") -> R
         give_back()
         function = _step(task, context).loaded()
         start = time.perf_counter()  # what loads a module for the first time is no work of a task
-        receipt = _receipt(task, key, context, function({**task.args, **task.how}, context), start)
+        receipt = _receipt(task, key, context, function(task.args, context), start)
     except (StoppedError, KeyboardInterrupt):
         raise
     except BaseException as error:
@@ -173,8 +169,6 @@ def run_task(task: Task, key: str, context: RunContext[Any], run: str = "") -> R
             raise KeyboardInterrupt from error
         stop_if_full(error, context.output)
         receipt = _failed(task, key, error, time.perf_counter() - start)
-    if run and receipt.failed:
-        receipt = replace(receipt, facts={**receipt.facts, "run": run})
     write_receipt(context.store, receipt)
     return receipt
 
@@ -215,22 +209,15 @@ def _failed(task: Task, key: str, error: BaseException, wall_s: float) -> Receip
     return failure(task, key, reason, wall_s, code=code, trace=trace)
 
 
-def do(
-    job: Job, context: RunContext[Any], needed: Iterable[Outcome] = (), run: str = ""
-) -> Outcome:
+def do(job: Job, context: RunContext[Any], needed: Iterable[Outcome] = ()) -> Outcome:
     """Do a job, unless it turns out to be finished, or to miss what it cannot be done without.
 
-    Parameters
-    ----------
-    needed : iterable of Outcome
-        What has come of the jobs that it waited for.
-    run : str
-        Mark of the run, which a failure bears.
+    ``needed``: what has come of the jobs that it waited for.
     """
     task, key = job.task, job.key
     if not key:
-        if any(one.again and one.need in job.open for one in needed):
-            return Outcome(job.need, None, again=True)
+        if any(one.again is not None and one.need in job.open for one in needed):
+            return Outcome(job.need, None, again=job.tried)
         made = {o.need: o.receipt.digest for o in needed if o.receipt and not o.receipt.failed}
         found = {**job.found, **made}
         bound = _step(task, context).bound(task, found)
@@ -240,7 +227,7 @@ def do(
         receipt = finished(task, key, context)
         if receipt is not None:
             return Outcome(job.need, receipt, found=True)
-    return Outcome(job.need, run_task(task, key, context, run))
+    return Outcome(job.need, run_task(task, key, context))
 
 
 def failure(

@@ -18,9 +18,6 @@ class Task:
     needs: tuple[Need, ...] = ()  #: Tasks whose results it reads.
     points: int = 0  #: Points that it handles, for progress [count].
     refused: str = ""  #: Why it cannot be started, with a remedy; empty where it can.
-    #: Further arguments that change how the work is done, not what comes out: no part of a
-    #: receipt's key.
-    how: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def weight(self) -> int:
@@ -63,6 +60,7 @@ class Job(NamedTuple):
     key: str  #: Its key; empty where what it needs is not all finished.
     open: tuple[Need, ...] = ()  #: What of that is not.
     found: Mapping[Need, str] = {}  #: What of that is, with its digest.
+    tried: tuple[str, ...] = ()  #: What earlier tries in this run have come to.
 
     @property
     def need(self) -> Need:
@@ -76,4 +74,5 @@ class Outcome(NamedTuple):
     need: Need
     receipt: Receipt | None  #: None where it was left out, for want of what it needs.
     found: bool = False  #: Whether it was finished already.
-    again: bool = False  #: Whether nothing has, as what it needed had to be done elsewhere.
+    #: What its tries have come to, where it is to be handed out again, by itself.
+    again: tuple[str, ...] | None = None

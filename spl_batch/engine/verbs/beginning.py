@@ -14,8 +14,8 @@ from typing import Any, Final
 
 import yaml
 
-from spl_batch.engine.store.deliveries import RECORD
 from spl_batch.engine.store.output_lock import lock_file
+from spl_batch.engine.verbs.output_owner import RECORD
 from spl_batch.errors import WorkflowError, plain
 from spl_batch.formats.files.atomic import write_bytes
 from spl_batch.receivers import HOMES, beginner

@@ -23,7 +23,7 @@ from spl_batch.engine.settings.workflow_file import load_any
 from spl_batch.engine.store.output_lock import locked
 from spl_batch.engine.store.working_store import Store, forget_receipt, read_receipt, read_receipts
 from spl_batch.engine.verbs.output_owner import usable
-from spl_batch.engine.verbs.preparing import prepare
+from spl_batch.engine.verbs.planning import prepare
 from spl_batch.engine.verbs.running import run
 from spl_batch.engine.watch.events import Listener, Note, ignore
 from spl_batch.errors import WorkflowError
@@ -131,13 +131,7 @@ def compare(
 def _chosen(
     methods: str | Sequence[str], found: Methods, settings: Any
 ) -> dict[str, Sequence[str]]:
-    """Keys of each method that is asked for, by name.
-
-    Raises
-    ------
-    WorkflowError
-        If there is no such method, or fewer than two are given.
-    """
+    """Keys of each method that is asked for, by name; two at the least."""
     chosen = {}
     for name in listed(methods):
         own = found.keys(name, settings)

@@ -5,17 +5,22 @@ soon as what it needs has been, later steps first: the scheduler gets the future
 finished, so that one step begins where another has ended. What is finished is not handed out. Small
 tasks of a step travel in one batch, as dask takes longer for a task than they do. A window bounds
 what the scheduler holds.
+
+A survey has as many tasks of a step as tiles, and each with its arguments takes kilobytes. So they
+are made twice: once to see which are finished, once to be done. Only those on their way to a
+worker, or about to be, exist.
 """
 
-from collections.abc import Sequence
-from typing import Final
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Final
 
 from spl_batch.engine.findings import of_receipts
 from spl_batch.engine.flow.cluster import Executor
-from spl_batch.engine.tasks.runner import failure
+from spl_batch.engine.tasks.context import RunContext
+from spl_batch.engine.tasks.ledger import Ledger
+from spl_batch.engine.tasks.runner import failure, finished, task_key
 from spl_batch.engine.tasks.step import Step
-from spl_batch.engine.tasks.task import Job, Need, Outcome, Task
-from spl_batch.engine.tasks.worklist import Worklist
+from spl_batch.engine.tasks.task import Job, Need, Outcome, Receipt, Task
 from spl_batch.engine.verbs.progress import Progress
 from spl_batch.engine.watch.events import PhaseStarted, TaskSettled
 from spl_batch.errors import INTERRUPTED
@@ -25,6 +30,71 @@ BATCH_POINTS: Final = 100_000
 [count]."""
 
 
+class Worklist:
+    """What one step has to do; ``is_over``: whether nothing more is to come of another one."""
+
+    def __init__(
+        self,
+        step: Step,
+        ledger: Ledger[Any, Any],
+        context: RunContext[Any],
+        is_over: Callable[[str], bool] = lambda _: True,
+    ) -> None:
+        self.left = self.ready = 0  #: Tasks to do, and those that :meth:`look` found finished.
+        self.points = 0  #: Points that the tasks to do will handle [count].
+        self.head: Task | None = None  #: The next one to do, once :meth:`advance` was called.
+        self.awaited: Need | None = None  #: What keeps it from being handed out.
+        self.pending: dict[str, Task] = {}  #: Tasks that are handed out and have not ended.
+        self.missing: set[str] = set()  #: Tasks that failed or were left out.
+        self._rest: Iterator[Task] | None = None
+        self._left_out: set[str] = set()
+        self.step, self._ledger, self._context, self._is_over = step, ledger, context, is_over
+        self._done = ledger.of(step.name)
+
+    def look(self) -> Iterator[Receipt]:
+        """Count the tasks; receipts of those that are finished already."""
+        self.left = self.ready = self.points = 0
+        for task in self.step.planned(self._ledger):
+            job = self.job(task)
+            if job is None:
+                self._left_out.add(task.name)
+                continue
+            receipt = finished(job.task, job.key, self._context) if job.key else None
+            if receipt is not None:
+                self.ready += 1
+                self._done.put(receipt)
+                yield receipt
+            else:
+                self.left += 1
+                self.points += task.points
+
+    def tasks(self) -> Iterator[Task]:
+        """Tasks that no look has found finished, made when they are asked for."""
+        made = self.step.planned(self._ledger)
+        return (t for t in made if t.name not in self._done and t.name not in self._left_out)
+
+    def advance(self) -> None:
+        """Go on to the next task."""
+        self._rest = self.tasks() if self._rest is None else self._rest
+        self.head, self.awaited = next(self._rest, None), None
+
+    def job(self, task: Task) -> Job | None:
+        """A task that can be done, with its key unless some of what it needs is still to come.
+
+        None where something is missing that it cannot be done without.
+        """
+        shelves = {step: self._ledger.of(step) for step, _ in task.needs}
+        found = {need: shelves[need[0]].digest(need[1]) for need in task.needs
+                 if need[1] in shelves[need[0]]}  # fmt: skip
+        open_ = [need for need in task.needs if need not in found and not self._is_over(need[0])]
+        if open_:
+            return Job(task, "", tuple(open_), found)
+        bound = self.step.bound(task, found)
+        if bound is None:
+            return None
+        return Job(bound, task_key(bound, self._context, map(found.get, bound.needs)))
+
+
 class Graph:
     """Steps of a run, those that are to be done, from the first to the last."""
 
@@ -32,9 +102,7 @@ class Graph:
         self.prepared, self.pool, self.progress = progress.prepared, pool, progress
         self._steps = {step.name: step for step in steps}
         self._waiting, self._open = list(steps), dict[str, Worklist]()
-        self._missing: set[Need] = set()  # tasks of open steps that failed or were left out
         self._closed: set[str] = set()
-        self._pending: dict[Need, Task] = {}
 
     def run(self) -> None:
         """Do what is left to do."""
@@ -46,7 +114,7 @@ class Graph:
                 self._open_steps()
                 while self.pool.has_room and self._hand_out():
                     pass
-            if self._pending:
+            if any(one.pending for one in self._open.values()):
                 for outcome in self.pool.ended():
                     self._ended(outcome)
             elif self.progress.begins_again:
@@ -83,11 +151,12 @@ class Graph:
         work.advance()
         self._open[step.name] = work
 
-    def _settled(self, step: Step, task: Task, *, found: bool = False) -> None:
+    def _settled(self, one: Worklist, task: Task, *, found: bool = False) -> None:
         """Report that a task needs no doing: it was finished, or misses what it needs."""
         if not found:
-            self._missing.add((step.name, task.name))
-        self.progress.tell(TaskSettled(step.stage, step.name, task.name, task.points, found))
+            one.missing.add(task.name)
+        stage = one.step.stage
+        self.progress.tell(TaskSettled(stage, task.kind, task.name, task.points, found))
 
     def _hand_out(self) -> bool:
         """Hand out a batch of tasks, of the latest step that can; whether there was one."""
@@ -106,7 +175,7 @@ class Graph:
                 jobs.append(found)
                 points += weight
         if jobs:
-            self.pool.submit(jobs, self.prepared.context)
+            self.pool.submit(jobs)
         return one.head is not first
 
     def _can_begin(self, one: Worklist, task: Task) -> bool:
@@ -120,10 +189,9 @@ class Graph:
         one.advance()
         job = one.job(task)
         if job is None:
-            self._settled(one.step, task)
+            self._settled(one, task)
             return None
-        one.pending += 1
-        self._pending[job.need] = task
+        one.pending[task.name] = task
         if task.refused:
             self._ended(Outcome(job.need, failure(task, job.key, task.refused, code="F02")))
             return None
@@ -132,33 +200,32 @@ class Graph:
     def _is_known(self, need: Need) -> bool:
         """Whether a task is handed out, has ended, or will never be."""
         step, name = need
-        if need in self._pending or name in self.prepared.ledger.of(step):
-            return True
         one = self._open.get(step)
+        if name in self.prepared.ledger.of(step):
+            return True
         if one is None:
             return self._is_closed(step)
-        return one.head is None or need in self._missing
+        return one.head is None or name in one.pending or name in one.missing
 
     def _ended(self, outcome: Outcome) -> None:
         """Take in what has come of a task."""
-        task = self._pending[outcome.need]
-        one, receipt = self._open[outcome.need[0]], outcome.receipt
-        job = one.job(task) if outcome.again else None
-        if job is not None:
-            self.pool.submit([job], self.prepared.context)
+        step, name = outcome.need
+        one, receipt = self._open[step], outcome.receipt
+        task = one.pending[name]
+        if outcome.again is not None and (job := one.job(task)):
+            self.pool.submit([job._replace(tried=outcome.again)])
             return
-        del self._pending[outcome.need]
-        one.pending -= 1
+        del one.pending[name]
         if receipt is None:
-            self._settled(one.step, task)
+            self._settled(one, task)
             return
         if receipt.failed:
-            self._missing.add(outcome.need)
+            one.missing.add(name)
         else:
-            self.prepared.ledger.of(receipt.kind).put(receipt)
+            self.prepared.ledger.of(step).put(receipt)
         if outcome.found:
             self.progress.found(one.step.stage, receipt)
-            self._settled(one.step, task, found=True)
+            self._settled(one, task, found=True)
         else:
             self.progress.ended(task, receipt)
 
@@ -175,7 +242,6 @@ class Graph:
                 progress.deliveries.save()
             del self._open[name]
             self._closed.add(name)
-            self._missing = {need for need in self._missing if need[0] != name}
             failed = [receipt for _, receipt in progress.failures]
             progress.warn(prepared.receiver.after(step, prepared, failed))
             progress.warn(of_receipts(prepared.ledger.of(name)))

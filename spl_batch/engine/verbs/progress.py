@@ -9,7 +9,8 @@ import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
+from importlib.util import find_spec
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
@@ -17,7 +18,6 @@ from spl_batch.engine.findings import Finding, settled, table
 from spl_batch.engine.report.parts import Failure, FindingReport
 from spl_batch.engine.report.reported import reported
 from spl_batch.engine.report.run_record import StageCost
-from spl_batch.engine.store.deliveries import Deliveries
 from spl_batch.engine.store.working_store import (
     Store,
     append_log,
@@ -25,8 +25,9 @@ from spl_batch.engine.store.working_store import (
     read_receipts,
 )
 from spl_batch.engine.tasks.ledger import Ledger
-from spl_batch.engine.tasks.step import Steps
+from spl_batch.engine.tasks.step import Step, Steps
 from spl_batch.engine.tasks.task import Need, Receipt, Task
+from spl_batch.engine.verbs.output_owner import Deliveries
 from spl_batch.engine.verbs.receiver import Prepared
 from spl_batch.engine.watch.events import (
     Compiling,
@@ -41,7 +42,7 @@ from spl_batch.engine.watch.events import (
 )
 from spl_batch.errors import DamagedError, counted, named
 from spl_batch.formats.files.atomic import sweep
-from spl_batch.formats.units import Units
+from spl_batch.receivers import summariser
 
 LOG_WORKERS_S: Final = 10.0
 """How often the log has how the workers are [s]."""
@@ -80,8 +81,9 @@ class Progress:
     def tell(self, event: Event) -> None:
         """Pass an event on, to the log as well."""
         with self.lock:  # workers report their beginnings in another thread
-            if isinstance(event, WorkersReady):
-                load = self.prepared.receiver.load_report
+            if isinstance(event, WorkersReady) and find_spec("matplotlib"):
+                # What draws a report takes seconds to import; while workers are busy, none.
+                load = partial(summariser, self.prepared.context.workflow.kind)
                 threading.Thread(target=load, name="load report", daemon=True).start()
             logged = not isinstance(event, Compiling)
             if isinstance(event, WorkersSeen):
@@ -100,7 +102,7 @@ class Progress:
         ignored = self.prepared.context.workflow.report.ignore
         new = settled(findings, ignored, self.findings)
         self.findings += new
-        units = Units.of(self.prepared.context.crs)
+        units = self.prepared.context.shown_units
         for one in reported(new, notes=True, units=units):
             self.note(one.text, "info" if one.severity == "note" else one.severity)
 
@@ -117,6 +119,15 @@ class Progress:
         if count:
             left = counted(count, "unfinished files")
             self.note(f"{left} of a killed run removed ({total / 1e6:.1f} MB)")
+
+    def withdraw(self, steps: Iterable[Step]) -> None:
+        """Delete what earlier runs delivered and this one does not vouch for, if it delivers."""
+        if not any(step.delivers for step in steps):
+            return
+        for text in self.deliveries.withdraw(failed=bool(self.failures)):
+            self.note(text)
+        if self.deliveries.spared:
+            self.warn([Finding("E02", {"files": self.deliveries.spared})])
 
     @property
     def begins_again(self) -> bool:

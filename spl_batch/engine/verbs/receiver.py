@@ -14,12 +14,9 @@ from typing import Any, ClassVar, Generic, NamedTuple, NoReturn, TypeVar
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.flow.warm_up import Work
 from spl_batch.engine.plan.budget import Cost
-from spl_batch.engine.report.run_record import Receipts, RunFacts
-from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.ledger import Ledger
-from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.tasks.step import Step, Steps
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.errors import WorkflowError
@@ -59,23 +56,6 @@ class Prepared(Generic[L, C]):
         return found
 
 
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """How much of a machine may be used."""
-
-    memory_bytes: int  #: Memory limit of a worker [byte].
-    workers: int  #: Worker processes, 1 at the least [count].
-
-
-@dataclass(frozen=True, slots=True)
-class Place:
-    """Where a workflow lies, and where its results go."""
-
-    workflow: Path  #: The file, as it was given.
-    base: Path  #: Folder that its relative paths start from.
-    output: Path  #: Folder of the results.
-
-
 class FirstLook(NamedTuple):
     """What a plan finds in the inputs."""
 
@@ -90,8 +70,8 @@ class FirstLook(NamedTuple):
 class Receiver(ABC, Generic[L, C]):
     """What the verbs need of a receiver."""
 
-    workflow: ClassVar[type[BaseWorkflow]]  #: Model of its workflows.
-    noun: ClassVar[str]  #: What its workflows are about.
+    ledger: ClassVar[type[Ledger[Any, Any]]]  #: What a run knows.
+    context: ClassVar[type[RunContext[Any]]] = RunContext  #: What its tasks are given.
     #: Patterns of the files that its runs deliver, below the output.
     delivered: ClassVar[tuple[str, ...]] = ()
 
@@ -100,43 +80,18 @@ class Receiver(ABC, Generic[L, C]):
         """Compiles a share, from 0, of so many, of the kernels that the tasks call."""
         return None
 
-    ledger: type[L]  #: What a run knows.
-
+    @abstractmethod
     def gather(self, workflow: Any, base: Path, output: Path) -> Any:
         """Find and check every file of a workflow, from headers alone.
 
-        ``output``: folder of the results: no input may lie there. A receiver with a
-        :meth:`prepare` of its own needs none.
+        What it gives may have their ``crs``. ``output``: folder of the results: no input may lie
+        there.
 
         Raises
         ------
         WorkflowError
             If nothing can be started; one line with every fault.
         """
-        raise NotImplementedError
-
-    def prepare(self, workflow: Any, place: Place, limits: Limits) -> Prepared[L, C]:
-        """A run on the files of :meth:`gather`, in their CRS where they have one."""
-        inputs = self.gather(workflow, place.base, place.output)
-        crs = getattr(inputs, "crs", None)
-        crs_wkt = crs.to_wkt() if crs is not None else ""
-        context: Any = self.context(workflow, place, crs_wkt, code_version(workflow.kind))
-        ledger = self.ledger(inputs, workflow, limits.memory_bytes, limits.workers)
-        return Prepared(self, ledger, context)
-
-    def context(
-        self, workflow: BaseWorkflow, place: Place, crs_wkt: str, code: str
-    ) -> RunContext[Any]:
-        """What its tasks are given.
-
-        Raises
-        ------
-        WorkflowError
-            If the workflow is another receiver's.
-        """
-        if not isinstance(workflow, self.workflow):
-            raise WorkflowError(f"{place.output}: kind: {workflow.kind}; no {self.noun}")
-        return RunContext(workflow, place.base, place.output, crs_wkt, code)
 
     @abstractmethod
     def cost(self, prepared: Prepared[L, C]) -> Cost:
@@ -186,13 +141,6 @@ class Receiver(ABC, Generic[L, C]):
         """Points that files promise which could not be read to their end [count]."""
         del ledger
         return 0
-
-    def load_report(self) -> None:
-        """Import what a report is drawn with: while workers are busy it costs no time."""
-
-    @abstractmethod
-    def report(self, done: Receipts, context: C, facts: RunFacts) -> Any:
-        """Write ``report.json`` and ``report.html``, and return the model of them."""
 
     @abstractmethod
     def screen(self, report: Any) -> list[tuple[str, str]]:

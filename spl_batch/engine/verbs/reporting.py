@@ -10,12 +10,12 @@ from spl_batch.engine.store.working_store import Store, read_receipt
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.ledger import Shelf
 from spl_batch.engine.tasks.runner import code_version
-from spl_batch.engine.verbs.conclusion import RunResult, result_of
 from spl_batch.engine.verbs.progress import forget_makers
-from spl_batch.engine.verbs.receiver import Place, Receiver
+from spl_batch.engine.verbs.receiver import Receiver
+from spl_batch.engine.verbs.running import RunResult, result_of
 from spl_batch.errors import DamagedError, SplBatchError, StoreError, refuse_without
 from spl_batch.formats.files.atomic import real_path
-from spl_batch.receivers import receiver, steps
+from spl_batch.receivers import receiver, steps, summariser
 
 
 def report(output: Path | str) -> RunResult:
@@ -39,21 +39,18 @@ def report(output: Path | str) -> RunResult:
     refuse_without("matplotlib", "reports", "report")
     done, context, facts = recalled(real_path(output))
     kind = context.workflow.kind
-    found: Receiver[Any, Any] = receiver(kind)
     try:
-        written = found.report(done, context, facts)
+        written = summariser(kind)(done, context, facts)
     except DamagedError as error:
         # A run that finds all finished would not look at it.
         forget_makers(context.store, steps(kind), [context.store.name_of(error.path)], {})
         raise
-    except SplBatchError:
-        raise
     except Exception as error:
         # What tasks record changes with the code: another version's may lack what is looked for.
-        if context.code == code_version(kind):
+        if isinstance(error, SplBatchError) or context.code == code_version(kind):
             raise
         raise _of_another_version(context.output, context.code) from error
-    return result_of(found, context.output, written)
+    return result_of(receiver(kind), context.output, written)
 
 
 def recalled(folder: Path) -> tuple[dict[str, Shelf], Any, RunFacts]:
@@ -67,11 +64,10 @@ def recalled(folder: Path) -> tuple[dict[str, Shelf], Any, RunFacts]:
         If what it has left is damaged.
     """
     kept = recall(folder)
-    file = Store(folder).local / RUN
-    workflow = parse_any(kept["workflow"], str(file))
+    workflow = parse_any(kept["workflow"], str(Store(folder).local / RUN))
     found: Receiver[Any, Any] = receiver(workflow.kind)
-    place = Place(file, Path(kept["base"]), folder)
-    context: RunContext[Any] = found.context(workflow, place, kept["crs_wkt"], kept["code"])
+    given = workflow, Path(kept["base"]), folder, kept["crs_wkt"], kept["code"]
+    context: RunContext[Any] = found.context(*given)
     if "facts" not in kept:
         raise _of_another_version(folder, kept["code"])
     facts = FACTS.validate_python(kept["facts"])

@@ -8,8 +8,7 @@ import yaml
 from pydantic import BaseModel
 
 from spl_batch.engine.settings.mistaken_file import refuse_urls
-from spl_batch.engine.settings.validation import validated
-from spl_batch.engine.settings.workflow_file import known_kind, read_mapping
+from spl_batch.engine.settings.workflow_file import known_kind, read_mapping, validated
 from spl_batch.errors import WorkflowError, grouped, named
 from spl_batch.formats.files.atomic import write_bytes
 from spl_batch.receivers import IMAGING, simulator

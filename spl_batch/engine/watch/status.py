@@ -186,11 +186,6 @@ def seconds(record: Mapping[str, Any]) -> float:
 class Follower:
     """Reads the log of an output folder as it grows, each line once.
 
-    Parameters
-    ----------
-    output : Path or str
-        Folder of the results.
-
     Raises
     ------
     WorkflowError

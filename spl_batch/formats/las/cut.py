@@ -24,12 +24,11 @@ from spl_batch.formats.las.header import (
     standard_dtype,
 )
 from spl_batch.formats.las.known_records import header_crs
-from spl_batch.formats.las.reader import coordinate
+from spl_batch.formats.las.reader import own_coordinate
 from spl_batch.formats.las.records import ExtraDimension, RecordLayout, record_layout
-from spl_batch.formats.units import METRES, Units
 
-Within = Callable[[NDArray[np.int64], NDArray[np.int64]], NDArray[np.bool_]]
-"""Which points, by their eastings and northings [quanta], lie in the area: (n,) bool."""
+Within = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]]
+"""Which points, by their eastings and northings in the cloud's unit, lie in the area: (n,) bool."""
 
 _BOUNDS_BITS: Final = 0b110
 """Options of an extra dimension: its least and largest value are given [LAS 1.4 R15, table 24]."""
@@ -47,7 +46,6 @@ def write_cut(
     pieces: Sequence[Piece],
     within: Within,
     *,
-    units: Units = METRES,
     records_of_file: Sequence[Vlr] = (),
 ) -> int:
     """Write the points of some clouds that lie in an area; their number.
@@ -58,8 +56,6 @@ def write_cut(
         LAZ file, replaced only by a finished one.
     pieces : sequence of Piece
         One at least.
-    units : Units
-        Of the clouds.
     records_of_file : sequence of Vlr
         Records of its header beside the CRS, which is that of the first cloud.
 
@@ -85,7 +81,7 @@ def write_cut(
             with RecordReader(header) as reader:
                 for start, stop in piece.ranges:
                     given = reader.read(start, stop)
-                    x, y = (coordinate(given, header, axis, start, units) for axis in range(2))
+                    x, y = (own_coordinate(given, header, axis, start) for axis in range(2))
                     yield _converted(given[within(x, y)], reader.layout, header, frame)
 
     return write_laz(dst, frame, chunks())

@@ -15,11 +15,13 @@ from pyproj.exceptions import CRSError, ProjError
 
 from spl_batch.errors import brief, is_fault, one_line, plain
 from spl_batch.formats.crs import (
+    LIBLAS_KEY,
     NAMELESS,
     WKT_KEY,
     compound,
     crs_from_wkt,
     crs_name,
+    differences,
     horizontal,
     same_crs,
     same_heights,
@@ -61,15 +63,16 @@ def header_crs(header: LasHeader) -> tuple[CRS | None, tuple[str, ...]]:
     rivals = _rivals(header)
     if rivals is not None:
         names, bit = [crs_name(crs) for crs in rivals], _keys_count(header)
+        apart = differences(*rivals)
         text = (
-            f"its WKT record says {names[0]}, its GeoTIFF keys {names[1]}: the "
+            f"its WKT record says {names[0]}, its GeoTIFF keys {names[1]}"
+            f"{f' ({apart})' if apart else ''}: the "
             f"{'keys count' if bit else 'record counts'}, by the header's WKT bit and point format;"
             " correct the file if that is wrong"
         )
         return rivals[bit], (text,)
     try:
-        crs = _wkt_crs(header)
-        return crs if crs is not None else _keys_crs(header), ()
+        return _wkt_crs(header) or _keys_crs(header) or _liblas_crs(header), ()
     except CRSError as error:
         reason = brief(plain(" ".join(str(error).split())), _CRS_TEXT_MAX)
         return None, (f"the CRS record is not understood ({reason}): name the CRS in survey.crs",)
@@ -79,7 +82,7 @@ def outvoted_records(header: LasHeader) -> Iterable[tuple[str, int]]:
     """Records of the CRS that does not count, where two contradict each other."""
     if _rivals(header) is None:
         return ()
-    return (WKT_KEY,) if _keys_count(header) else GEO_KEYS
+    return (WKT_KEY, LIBLAS_KEY) if _keys_count(header) else GEO_KEYS
 
 
 def _keys_count(header: LasHeader) -> bool:
@@ -92,7 +95,7 @@ def _rivals(header: LasHeader) -> tuple[CRS, CRS] | None:
     if header.vlr(*GEO_KEYS[0]) is None or not header.n_points:
         return None
     try:
-        wkt = _wkt_crs(header)
+        wkt = _wkt_crs(header) or _liblas_crs(header)
         keys = None if wkt is None else _keys_crs(header)
         if wkt is None or keys is None or _agree(wkt, keys, header):
             return None
@@ -141,6 +144,12 @@ def _wkt_crs(header: LasHeader) -> CRS | None:
     with open_input(header.path) as file:
         file.seek(evlr.start)
         return crs_from_wkt(file.read(min(evlr.size, _WKT_BYTES_MAX)))
+
+
+def _liblas_crs(header: LasHeader) -> CRS | None:
+    """CRS of libLAS's record, which counts where there is no other: it has no vertical part."""
+    vlr = header.vlr(*LIBLAS_KEY)
+    return None if vlr is None else crs_from_wkt(vlr.data)
 
 
 def broken_records(header: LasHeader) -> Iterator[str]:
@@ -196,7 +205,7 @@ def kept_records(header: LasHeader, crs: CRS | None) -> tuple[list[Vlr], list[Ev
     own = header_crs(header)[0]
     written = _delivered_crs(own, crs)
     if written is not own:
-        dropped.add(WKT_KEY)
+        dropped.update((WKT_KEY, LIBLAS_KEY))
 
     def is_kept(record: Vlr | Evlr) -> bool:
         gone = record.key in dropped or record.key[0] == "copc"

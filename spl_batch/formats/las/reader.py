@@ -338,18 +338,38 @@ def coordinate(
         quanta = raw.astype(np.int64) * whole[0] + whole[1]
     else:
         quanta = np.rint((raw * scale + offset) * unit_m * QUANTA_PER_M).astype(np.int64)
-    low = (header.mins_m[axis] * unit_m - _BBOX_SLACK_M) * QUANTA_PER_M
-    high = (header.maxs_m[axis] * unit_m + _BBOX_SLACK_M) * QUANTA_PER_M
-    if len(quanta) and (quanta.min() < low or quanta.max() > high):
-        where = int(np.argmax((quanta < low) | (quanta > high)))
+    slack = _BBOX_SLACK_M * QUANTA_PER_M
+    _refuse_beyond(quanta, header, axis, first, (unit_m * QUANTA_PER_M, slack))
+    return quanta
+
+
+def own_coordinate(
+    records: NDArray[Any], header: LasHeader, axis: int, first: int
+) -> NDArray[np.float64]:
+    """Coordinates of one axis in the cloud's unit, as every reader has them: (n,) float64.
+
+    Points outside the header's box are refused as by :func:`coordinate`.
+    """
+    found = records["XYZ"[axis]] * header.scales[axis] + header.offsets[axis]
+    _refuse_beyond(found, header, axis, first, (1.0, _BBOX_SLACK_M))
+    return found
+
+
+def _refuse_beyond(
+    values: NDArray[Any], header: LasHeader, axis: int, first: int, scaled: tuple[float, float]
+) -> None:
+    """Refuse coordinates of an axis, scaled, that lie beyond the header's box and a slack."""
+    per_unit, slack = scaled
+    low, high = header.mins_m[axis] * per_unit - slack, header.maxs_m[axis] * per_unit + slack
+    if len(values) and (values.min() < low or values.max() > high):
+        where = int(np.argmax((values < low) | (values > high)))
         raise InputError(
             str(header.path),
-            f"point {first + where} has {'xyz'[axis]} {quanta[where] / QUANTA_PER_M / unit_m},"
+            f"point {first + where} has {'xyz'[axis]} {values[where] / per_unit},"
             f" outside the header's {header.mins_m[axis]} to {header.maxs_m[axis]}: the points are"
             " damaged,"
             " copy the file again; or the header is wrong, repair it (lasinfo -repair_bb)",
         )
-    return quanta
 
 
 def _channel(

@@ -1,5 +1,6 @@
 """Delivered rasters: cloud-optimised GeoTIFF."""
 
+import re
 import shutil
 import zlib
 from collections.abc import Iterable
@@ -11,6 +12,7 @@ import rasterio
 import rasterio.shutil
 from numpy.typing import NDArray
 from pyproj import CRS
+from pyproj.database import get_units_map
 from rasterio._err import CPLE_BaseError
 from rasterio.enums import Resampling
 from rasterio.errors import CRSError, RasterioError
@@ -30,6 +32,10 @@ TILE_PX: Final = 256
 
 CACHE_BYTES: Final = 64 * 2**20
 """GDAL's block cache while a COG is written: memory does not grow with the raster [bytes]."""
+
+
+_UNIT_OF_HEIGHTS: Final = re.compile(r'(VERTCRS\[.*LENGTHUNIT\["[^"]*",[0-9.]+)\]', re.DOTALL)
+"""Unit without a code, within the part of a WKT 2 that is of heights."""
 
 
 def write_cog(
@@ -76,6 +82,8 @@ def write_cog(
     except CRSError as error:
         raise InputError(str(path), f"CRS {crs!r} is not understood: {error}") from None
     units = Units.of(None if known_crs is None else CRS.from_wkt(known_crs.to_wkt()))
+    if known_crs is not None and units.vertical_m != 1.0:
+        known_crs = _with_code_of_heights(known_crs, units)
     unit, unit_m = units.of_values(unit)
     if unit_m != 1.0:
         pieces = ((row, col, _divided(block, unit_m, nodata)) for row, col, block in pieces)
@@ -105,6 +113,15 @@ def write_cog(
             finished.replace(cog)
     except (RasterioError, CPLE_BaseError) as error:
         raise _stopped(path, shape, error) from error
+
+
+def _with_code_of_heights(crs: rasterio.crs.CRS, units: Units) -> rasterio.crs.CRS:
+    """The same where EPSG's code is beside the unit of heights: without, GDAL writes metres."""
+    known = get_units_map(auth_name="EPSG", category="linear").get(units.vertical)
+    if known is None:
+        return crs
+    coded = rf'\1,ID["EPSG",{known.code}]]'
+    return rasterio.crs.CRS.from_wkt(_UNIT_OF_HEIGHTS.sub(coded, crs.to_wkt(version="WKT2_2019")))
 
 
 def _divided(block: NDArray[np.float32], unit_m: float, nodata: float) -> NDArray[np.float32]:

@@ -26,6 +26,9 @@ from spl_batch.formats.units import Units, metres_in
 BLOCK: Final = 1024
 """Rows and columns of a raster that are read or made at once [cells]."""
 
+EVEN: Final = 1e-6
+"""An edge this near to one of a cell lies on it [cells]."""
+
 LARGEST: Final = 1200
 """Cells that a side of an overview may have [count]."""
 
@@ -192,6 +195,11 @@ def windows(whole: Window, edge: int, *, beyond: int = 0) -> Iterator[Window]:
     for row, col in product(range(top, bottom, edge), range(left, right, edge)):
         width, height = min(edge + beyond, right - col), min(edge + beyond, bottom - row)
         yield Window(col, row, width, height)
+
+
+def cells_between(low: float, high: float) -> tuple[int, int]:
+    """First cell that two edges [cells] include a part of, and the one past the last."""
+    return math.floor(low + EVEN), math.ceil(high - EVEN)
 
 
 def centres(

@@ -19,11 +19,11 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
 from spl_batch.errors import InputError, counted, grouped
-from spl_batch.formats.crs import crs_name, crs_problems, horizontal, parse_crs
+from spl_batch.formats.crs import crs_name, crs_problems, horizontal, no_survey_crs, parse_crs
 from spl_batch.formats.files.atomic import stop_if_full
 from spl_batch.formats.gps_clock import TimeStandard, clock, time_standard
 from spl_batch.formats.trajectory.records import COLUMNS, SBET_SUFFIXES, Records, read_records
-from spl_batch.formats.units import Units
+from spl_batch.formats.units import METRES, Units, both
 from spl_batch.formats.verified.parquet_npz import ranges_of, read_groups, reading, writing
 from spl_batch.lattice.tables import Trajectory
 
@@ -76,6 +76,7 @@ class Gathering:
         self.span_s = (np.inf, -np.inf)  #: First and last time [s].
         self.warnings: list[str] = []  #: What had to be done to them; each is one sentence.
         self._paths, self._disk, self._folder, self._points = paths, disk, folder, points
+        self._units = METRES
         self._batches: list[_Batch] = []
         self._dropped = 0
         self._nearest_m = np.inf
@@ -88,6 +89,7 @@ class Gathering:
 
     def read(self, survey_crs: CRS | None, trajectory_crs: str | None) -> None:
         """Read the files, and bring them into the points' time."""
+        self._units = Units.of(survey_crs)
         for file, path in enumerate(self._paths):
             convert = _conversion(path, survey_crs, trajectory_crs, self.warnings)
             for time, position in read_records(path, self.warnings.append):
@@ -178,12 +180,13 @@ class Gathering:
         if self._points is None:
             return
         if self._nearest_m > _FAR_M:
-            middle = (self._low + self._high) / 2
+            unit = self._units.of_places
+            x, y = (self._low + self._high) / 2 / unit[1]
             raise InputError(
                 path,
-                f"trajectory around x {middle[0]:.0f}, y {middle[1]:.0f} is"
-                f" {self._nearest_m / 1000:.0f} km from the points: they are in different CRS, name"
-                " the trajectory's in survey.trajectory_crs",
+                f"trajectory around x {x:.0f}, y {y:.0f} {unit[0]} is"
+                f" {both(self._nearest_m, unit, 0)} from the points: they are in different CRS, "
+                "name the trajectory's in survey.trajectory_crs",
             )
         (start, stop), (first, last) = self.span_s, self._points.time_s
         text = f"trajectory covers {start:.3f} to {stop:.3f} s, the points span {first:.3f} to"
@@ -261,9 +264,7 @@ def _conversion(
     if crs is None:
         return units.metres
     if survey is None:
-        raise InputError(
-            str(path), f"is in {crs_name(crs)}, the survey has no CRS: name it in survey.crs"
-        )
+        raise InputError(str(path), no_survey_crs(crs))
     problems = crs_problems(survey)
     if problems:
         raise InputError(str(path), problems)

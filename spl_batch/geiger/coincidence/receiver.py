@@ -16,9 +16,7 @@ from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.budget import Cost, measured_rates
 from spl_batch.engine.plan.input_files import check_keys, expand, name_below, refuse_own, usable
 from spl_batch.engine.plan.worker_memory import WORKER_BASE_BYTES
-from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.report.verdict import card_rows
-from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.tasks.input_changes import stamp
 from spl_batch.engine.tasks.ledger import Ledger
 from spl_batch.engine.tasks.step import Step
@@ -183,8 +181,6 @@ Run = Prepared[L1Ledger, CoincidenceContext]
 class Coincidence(Receiver[L1Ledger, CoincidenceContext]):
     """Detections and looks to points."""
 
-    workflow: ClassVar[type[BaseWorkflow]] = CoincidenceWorkflow
-    noun: ClassVar[str] = "coincidence processing"
     delivered: ClassVar[tuple[str, ...]] = ("points/*",)
 
     ledger = L1Ledger
@@ -270,15 +266,9 @@ class Coincidence(Receiver[L1Ledger, CoincidenceContext]):
         indexed = ledger.of("index_file")
         return sum(f.rows for f in ledger.inputs.detections if str(f.key) not in indexed)
 
-    def report(self, done: Receipts, context: CoincidenceContext, facts: RunFacts) -> Any:
-        """Write ``report.json`` and ``report.html``."""
-        from spl_batch.geiger.coincidence.report.summarise import summarise  # noqa: PLC0415 - draws
-
-        return summarise(done, context, facts)
-
     def screen(self, report: Any) -> list[tuple[str, str]]:
         """Label and value of each number that the console shows after a run."""
-        from spl_batch.geiger.coincidence.report.summarise import cards  # noqa: PLC0415 - as above
+        from spl_batch.geiger.coincidence.report.summarise import cards  # noqa: PLC0415 - draws
 
         return card_rows(cards(report), report)
 

@@ -13,9 +13,7 @@ from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.budget import Cost, measured_rates
 from spl_batch.engine.plan.input_files import check_keys, expand, refuse_own, stem_names, usable
 from spl_batch.engine.plan.worker_memory import WORKER_BASE_BYTES
-from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.report.verdict import card_rows
-from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.ledger import Ledger
 from spl_batch.engine.tasks.step import Step
@@ -175,8 +173,6 @@ Run = Prepared[WaterLedger, WaterContext]
 class Water(Receiver[WaterLedger, WaterContext]):
     """Frames of time bins to surfaces, normals and rays."""
 
-    workflow: ClassVar[type[BaseWorkflow]] = WaterWorkflow
-    noun: ClassVar[str] = "water surface"
     delivered: ClassVar[tuple[str, ...]] = ("points/*", "surfaces/**/*")
 
     ledger = WaterLedger
@@ -261,15 +257,9 @@ class Water(Receiver[WaterLedger, WaterContext]):
         targets = prepared.ledger.inputs.targets
         return [[str(target.path), *stamp_if_there(target.path)] for target in targets]
 
-    def report(self, done: Receipts, context: WaterContext, facts: RunFacts) -> Any:
-        """Write ``report.json`` and ``report.html``."""
-        from spl_batch.geiger.water.report.summarise import summarise  # noqa: PLC0415 - draws
-
-        return summarise(done, context, facts)
-
     def screen(self, report: Any) -> list[tuple[str, str]]:
         """Label and value of each number that the console shows after a run."""
-        from spl_batch.geiger.water.report.summarise import cards  # noqa: PLC0415 - as above
+        from spl_batch.geiger.water.report.summarise import cards  # noqa: PLC0415 - draws
 
         return card_rows(cards(report), report)
 

@@ -138,15 +138,6 @@ def test_ground_that_the_terrain_cuts_off_is_open_ground_that_is_wrong():
     assert len(d["open_ground"]) == 4
 
 
-def test_points_of_the_margin_only_tell_what_stands_nearby():
-    counted = np.array([True, True, False])
-    ref = reference((2, [[10, 10, 5], [30, 10, 5]]), (5, [[10, 11, 20]]), counted=counted)
-    d = terrain_differences(flat(5.0), ref)
-    assert (len(d["all"]), len(d["open_ground"])) == (2, 1)
-    none = terrain_differences(flat(5.0), Reference(ref.xyz_m, ref.classification, counted & False))
-    assert all(len(values) == 0 for values in none.values())
-
-
 def same(one, other):
     """Whether two tallies count the same."""
     return (

@@ -11,7 +11,9 @@ from spl_batch.airborne.accuracy.checkpoint_errors import (
     CheckpointError,
     CheckpointStatistics,
     at_checkpoints,
+    statement,
 )
+from spl_batch.constants import FOOT_M
 
 metres = st.floats(-2, 2)
 
@@ -53,3 +55,13 @@ def test_outliers_are_named_and_count() -> None:
 def test_equal_errors_have_no_outlier_within_a_centimetre() -> None:
     found = [CheckpointError(str(k), 0.01, 0.01) for k in range(5)]
     assert at_checkpoints([*found, CheckpointError("near", 0.018, 0.01)]).outliers == ()
+
+
+def test_a_statement_is_in_the_unit_of_delivery_with_centimetres_beside() -> None:
+    nva = many(30, accuracy=0.03, scale=0.04)  # RMSE_V is 0.05 m
+    metric = statement(nva, many(0), 0.1)
+    assert "for a 10.0 cm RMSE_V" in metric
+    assert "RMSE_V = 5.0 cm at 30 checkpoints: fit 4.0 cm, checkpoints 3.0 cm" in metric
+    feet = statement(nva, many(0), 0.1, ("ft", FOOT_M))
+    assert "for a 0.328 ft (10.0 cm) RMSE_V" in feet
+    assert "RMSE_V = 0.164 ft (5.0 cm) at 30 checkpoints: fit 0.131 ft (4.0 cm)" in feet

@@ -18,7 +18,7 @@ from spl_batch.airborne.tasks.accuracy import compared
 from spl_batch.constants import NODATA
 from spl_batch.engine.tasks.runner import run_task
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.engine.verbs.preparing import prepare
+from spl_batch.engine.verbs.planning import prepare
 from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.formats.verified.parquet_npz import read_arrays
 from tests import surveys

@@ -106,6 +106,17 @@ def test_without_times_only_ground_and_surfaces_are_proposed(tmp_path: Path) -> 
     assert not api.plan(tmp_path / "workflow.yaml").faults
 
 
+def test_of_linear_mode_lidar_nothing_is_asked_that_no_step_reads(tmp_path: Path) -> None:
+    line = {name: values[::13] for name, values in surveys.flightline().items()}
+    surveys.write_cloud(tmp_path / "a.laz", line, channel=False)
+    ended = surveys.command("init", tmp_path)
+    assert ended.out.count("unknown: ") == 1
+    assert "unknown: filter: no beamlet numbers, " in ended.out
+    assert "beamlets" not in ended.out.replace("beamlet numbers", "")
+    content = yaml.safe_load((tmp_path / "workflow.yaml").read_text(encoding="utf-8"))
+    assert content["survey"].keys() == {"name", "flightlines"}
+
+
 def test_a_geocentric_crs_record_is_no_crs_of_a_survey(tmp_path: Path) -> None:
     line = surveys.flightline(shots=50)
     surveys.write_cloud(tmp_path / "a.laz", line, crs="EPSG:4978")

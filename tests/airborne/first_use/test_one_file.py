@@ -12,6 +12,7 @@ from spl_batch import api
 from spl_batch.airborne.first_use import one_file
 from spl_batch.airborne.first_use.clouds import linear_mode_signs, look_at
 from spl_batch.airborne.first_use.commented import begin
+from spl_batch.airborne.first_use.one_file import KEEP_ALL
 from spl_batch.errors import StoppedError
 from tests import surveys
 
@@ -142,6 +143,18 @@ def test_linear_mode_lidar_is_refused_unless_the_instrument_is_named(tmp_path: P
     ended = denoise(source, tmp_path / "out.laz")
     assert ended.status == 2
     assert [p.name for p in tmp_path.iterdir()] == ["in.laz"]
+    _, offered, *_ = " ".join(ended.err.split()).split("`")
+    assert offered == f"spl-batch denoise {source} {tmp_path / 'out.laz'} --ground --set {KEEP_ALL}"
+    done = denoise(*offered.split()[2:])
+    assert done.status == 0
+    assert "background noise 0 (0.0 %" in " ".join(done.text.split())
+    (tmp_path / "out.laz").unlink()
+    for sensor in ("als50-ii", "spl100"):
+        done = denoise(
+            source, tmp_path / "out.laz", "--sensor", sensor, "--set", KEEP_ALL, "--force"
+        )
+        assert done.status == 0
+    (tmp_path / "out.laz").unlink()
     begun = begin(tmp_path)
     assert begun is not None
     assert "filter: {method: none}" in begun.lines

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
 from spl_batch.airborne.ground.lowest_layers import continued, lowest_layers
-from spl_batch.airborne.ground.ptd import Limits, densify, facet_fit, heights_above
+from spl_batch.airborne.ground.ptd import Limits, _frame, densify, facet_fit, heights_above
 from spl_batch.numerics.cell_groups import group_by_cell
 from spl_batch.numerics.triangulation.tin import (
     OUTSIDE,
@@ -212,3 +212,12 @@ def test_support_agrees_with_all_pairs() -> None:
     found = continued(nodes, cells, 1.0)
     assert np.array_equal(found, near.sum(axis=1) >= 2)
     assert 0.1 < found.mean() < 0.9
+
+
+def test_places_of_the_frame_are_two_margins_apart_at_most() -> None:
+    frame = _frame(np.array([[0.0, 0.0, 5.0], [100.0, 30.0, 9.0]]), 10.0)
+    east, north = (np.unique(frame[:, axis]) for axis in (0, 1))
+    np.testing.assert_allclose(east, np.linspace(-10, 110, 7))
+    np.testing.assert_allclose(north, np.linspace(-10, 40, 4))
+    assert len(np.unique(frame, axis=0)) == len(frame) == 18
+    assert len(_frame(np.zeros((1, 3)), 10.0)) == 4, "around one place the corners alone"

@@ -153,8 +153,8 @@ def test_water_that_nobody_flew_stays_void() -> None:
         ({"b": [COURSE]}, UTM, "lines alone"),
         ({"a": [shapely.Point(1, 2, 3)]}, UTM, "holds no polygons"),
         ({"a": [LAKE]}, "EPSG:32615+5773", "its heights are 'EGM96 height'"),
-        ({"a": [LAKE]}, "EPSG:32615+6360", "is in US survey foot, the survey's"),
-        ({"a": [LAKE]}, "EPSG:2277", "is in US survey foot, the survey's"),
+        ({"a": [LAKE]}, "EPSG:32615+6360", "heights are in US survey feet .* survey's in metres"),
+        ({"a": [LAKE]}, "EPSG:2277", "states no unit of heights.* ogr2ogr -a_srs EPSG:2277"),
     ],
 )
 def test_faults_are_told_in_one_line(tmp_path: Path, layers, crs, said: str) -> None:
@@ -170,6 +170,16 @@ def test_breaklines_of_a_survey_in_feet_are_read_in_metres(tmp_path: Path) -> No
     (lake,) = read_breaklines(write(tmp_path / "b.gpkg", {"a": [in_feet]}, "EPSG:2278"), crs)
     assert lake.level_m == pytest.approx(12.0)
     assert lake.area.equals_exact(shapely.force_2d(LAKE), 1e-6)
+
+
+def test_breaklines_of_one_survey_in_feet_may_be_in_none_of_its_heights(tmp_path: Path) -> None:
+    path = write(tmp_path / "b.gpkg", {"a": [LAKE]}, "EPSG:2278")
+    with pytest.raises(InputError, match=r"states no unit of heights, the survey's .* metres"):
+        read_breaklines(path, CRS("EPSG:2278+5703"))
+    uneven = shapely.Polygon([(0, 0, 1), (9, 0, 2), (9, 9, 1)])
+    path = write(tmp_path / "c.gpkg", {"a": [uneven]}, "EPSG:2278+6360")
+    with pytest.raises(InputError, match=r"differ by 1\.00 ft \(0\.30 m\)"):
+        read_breaklines(path, CRS("EPSG:2278+6360"))
 
 
 def test_a_field_gives_the_height_and_another_crs_is_transformed(tmp_path: Path) -> None:
@@ -192,7 +202,7 @@ def test_a_field_does_not_contradict_the_vertices(tmp_path: Path, field, clash) 
         path, lake, [np.array([field])], ["z"], geometry_type="Polygon Z", crs=UTM.to_wkt()
     )
     if clash:
-        with pytest.raises(InputError, match=r"lie at 0\.00 to 0\.00 m, its field .* 211\.50 m"):
+        with pytest.raises(InputError, match=r"lie at 0\.00 m to 0\.00 m, its field .* 211\.50 m"):
             read_breaklines(path, UTM)
     else:
         assert read_breaklines(path, UTM)[0].level_m == 0.0

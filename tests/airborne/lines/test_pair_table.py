@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from spl_batch.airborne.lines.comparison import offset_warnings
+from spl_batch.airborne.lines.comparison import _Cell, _overlaps, offset_warnings
 from spl_batch.airborne.lines.pair_table import (
     DETERMINED_M,
     FEWEST,
@@ -75,6 +75,11 @@ def test_a_flightline_is_not_compared_with_itself_nor_by_few_patches() -> None:
     (found,) = pair_table(both)
     assert found.patches == 12
     assert pair_table([]) == []
+
+
+def test_pairs_that_overlap_are_those_of_all_cells_the_lesser_name_first() -> None:
+    cells = [_Cell(["b", "a", "c"], [], [[0, 1], [1, 2]], {}), _Cell(["a", "b"], [], [[0, 1]], {})]
+    assert _overlaps(cells) == {("a", "b"), ("a", "c")}
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -14,8 +15,8 @@ from spl_batch.airborne.lines.patches import (
     MIN_RETURNS_PER_PATCH,
     THICKEST_M,
     Patches,
-    doubled,
     find_patches,
+    in_fours,
     moments_of,
     region,
     seen_lines,
@@ -45,7 +46,7 @@ def test_moments_are_the_sums_of_the_points_of_each_square() -> None:
                 v, w = y[mine] - 20_000, z[mine]
                 wanted = [len(u), u, v, w, u * u, u * v, v * v, u * w, v * w, w * w]
                 assert got[s, j, i].tolist() == [int(np.sum(one)) for one in wanted]
-    assert np.array_equal(doubled(got)[:, 1, 3], got[:, 2:, 6:].sum(axis=(1, 2)))
+    assert np.array_equal(in_fours(got)[:, 1, :, 3], got[:, 2:, 6:])
 
 
 def oracle(first: NDArray[Any], second: NDArray[Any]) -> dict[str, float]:
@@ -77,6 +78,9 @@ def test_patches_are_what_least_squares_over_their_points_gives() -> None:
     points = two_strips(Shift(0.2, -0.1, 0.05), per_m2=0.4)
     patches = found_in(points)
     assert set(patches["edge_m"]) == {5.0, 10.0}, "those of 5 m that hold too little are joined"
+    x, y, half = patches["x"], patches["y"], patches["edge_m"] / 2
+    squares = shapely.union_all(shapely.box(x - half, y - half, x + half, y + half))
+    assert squares.area == pytest.approx(np.sum(patches["edge_m"] ** 2)), "none lies in another"
     xyz = np.stack([points[axis] / 1000 for axis in "xyz"], axis=1)
     for k in range(0, len(patches["rise"]), 7):
         half = patches["edge_m"][k] / 2

@@ -15,7 +15,16 @@ from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.plan.worker_memory import usable_bytes
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.lattice.density import from_counts
-from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds, grow, overlap, quanta, shared
+from spl_batch.lattice.tiles import (
+    Bounds,
+    CellId,
+    cell_bounds,
+    cells_touching,
+    grow,
+    overlap,
+    quanta,
+    shared,
+)
 
 EDGE = 100
 
@@ -35,16 +44,25 @@ def extents(counts: Iterable[CellId], edge: int) -> list[Bounds]:
 
 
 @settings(max_examples=40, deadline=None)
-@given(COUNTS, st.sampled_from([100, 300, 250]), st.sampled_from([0, 30, 130]))
+@given(
+    COUNTS, st.sampled_from([70, 100, 300, 250]), st.sampled_from([0, 30, 130]),
+    st.sampled_from([0, 60]),
+)  # fmt: skip
 def test_cells_own_each_tile_and_read_their_margin(
-    counts: dict[CellId, int], edge: int, margin: int
+    counts: dict[CellId, int], edge: int, margin: int, buffer: int
 ) -> None:
-    grid = Grid.of_boxes(extents(counts, EDGE), edge, 0)
-    found = {unit.name: unit for unit in grid.units(counts, EDGE, margin)}
+    grid = Grid.of_boxes(extents(counts, EDGE), edge, buffer)
+    units = list(grid.units(counts, EDGE, margin))
+    assert [unit.cell for unit in units] == sorted({unit.cell for unit in units})
+    squares = {c for t in counts for c in cells_touching(cell_bounds(t, EDGE), edge)}
+    assert squares <= {square for unit in units for square in grid.squares(unit.cell)}
+    assert not any(overlap(a.core, b.core) for a, b in itertools.combinations(units, 2))
+    found = {unit.name: unit for unit in units}
     assert sorted(found) == grid.owners(counts, EDGE)
     for name, unit in found.items():
         i, j = unit.cell
-        assert unit.core == Bounds(i * edge, j * edge, (i + 1) * edge, (j + 1) * edge)
+        alone = Bounds(i * edge, j * edge, (i + 1) * edge, (j + 1) * edge)
+        assert unit.core == (grid.core(unit.cell) if buffer else alone)
         mine = [t for t in counts if overlap(cell_bounds(t, EDGE), unit.core)]
         assert unit.points == sum(counts[t] for t in mine)
         assert {t for t in counts if name in grid.owners([t], EDGE)} == set(mine)

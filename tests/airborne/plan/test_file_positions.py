@@ -12,7 +12,7 @@ import rasterio
 from numpy.typing import NDArray
 
 from spl_batch import api
-from spl_batch.airborne.plan.inputs.file_positions import far_positions, saved_again
+from spl_batch.airborne.plan.inputs.file_positions import extent, far_positions, saved_again
 from spl_batch.airborne.plan.inputs.findings import points_astray
 from spl_batch.airborne.plan.inputs.survey_inputs import gather_inputs
 from spl_batch.airborne.settings.workflow import load_workflow
@@ -20,6 +20,7 @@ from spl_batch.constants import NODATA
 from spl_batch.engine.findings import Finding
 from spl_batch.formats.crs import look_like_degrees
 from spl_batch.formats.las.reader import LasFacts
+from spl_batch.formats.units import Units
 from spl_batch.lattice.density import Box, from_boxes
 from spl_batch.lattice.tiles import Bounds, far_apart
 from tests import surveys
@@ -217,3 +218,11 @@ def test_points_astray_are_few_and_make_rasters_much_larger(
     survey: Any = SimpleNamespace(counts=counts, workflow=workflow)
     values = [one.values for one in points_astray(survey)]
     assert [(one["count"], one["km"]) for one in values] == found
+
+
+def test_an_extent_is_in_the_unit_of_the_survey_with_metres_beside() -> None:
+    places = [(304.8, 609.6), (3048.0, 914.4)]
+    assert extent(places) == "305 to 3 048 m E, 610 to 914 m N"
+    assert extent(places, Units("foot", 0.3048, "foot", 0.3048)) == (
+        "1 000 to 10 000 ft E, 2 000 to 3 000 ft N (305 to 3 048 m E, 610 to 914 m N)"
+    )

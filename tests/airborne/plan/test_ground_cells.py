@@ -1,6 +1,5 @@
 """Ground cells: squares of the absolute grid, with the strips at a survey's edge."""
 
-import itertools
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -73,26 +72,6 @@ def test_strips_up_to_the_buffer_belong_to_the_next_cell() -> None:
     assert cells.core(CellId(1, 0)) == Bounds(0, 0, 400, 200)  # 61 m in the south stay a cell
     assert cells.core(CellId(2, 3)) == Bounds(400, 600, 800, 800)
     assert cells.keeper(CellId(0, 0)) == CellId(1, 0)
-
-
-COUNTS = {CellId(i, j): 10 + i for i in range(-2, 3) for j in range(4)}
-EXTENT = [Bounds(-200, 0, 300, 400)]
-
-
-@pytest.mark.parametrize("edge", [70, 100, 250])
-@pytest.mark.parametrize("halo", [0, 30, 130])
-@pytest.mark.parametrize("buffer", [0, 60])
-def test_cells_own_everything_once_and_read_their_halo(edge: int, halo: int, buffer: int) -> None:
-    cells = Grid.of_boxes(EXTENT, edge, buffer)
-    found = list(cells.units(COUNTS, 100, halo))
-    assert [u.cell for u in found] == sorted({u.cell for u in found})
-    squares = {c for t in COUNTS for c in cells_touching(cell_bounds(t, 100), edge)}
-    assert squares == {square for u in found for square in cells.squares(u.cell)}
-    assert not any(overlap(a.core, b.core) for a, b in itertools.combinations(found, 2))
-    for u in found:
-        wide = grow(u.core, halo)
-        assert set(u.tiles) == {t for t in COUNTS if overlap(cell_bounds(t, 100), wide)}
-        assert u.points == sum(n for t, n in COUNTS.items() if overlap(cell_bounds(t, 100), u.core))
 
 
 def test_owners_are_the_cells_that_touch() -> None:

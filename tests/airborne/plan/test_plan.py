@@ -22,8 +22,8 @@ from spl_batch.airborne.settings.workflow import Workflow, parse_workflow
 from spl_batch.airborne.tasks.file_tally import BINS_PER_S, Rate, merge_spans, most_points
 from spl_batch.engine.plan.input_files import source_key
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.engine.verbs import preparing
-from spl_batch.engine.verbs.preparing import parse_bytes
+from spl_batch.engine.verbs import planning
+from spl_batch.engine.verbs.planning import parse_bytes
 from spl_batch.errors import WorkflowError
 
 
@@ -288,8 +288,8 @@ def test_what_is_no_size(text: str | int) -> None:
 def test_workers_share_the_memory_of_the_machine(
     machine_gib: float, workers: int, gib: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(preparing, "machine_memory", lambda: int(machine_gib * 2**30))
-    assert preparing.limit_bytes(None, workers) == gib * 2**30
+    monkeypatch.setattr(planning, "machine_memory", lambda: int(machine_gib * 2**30))
+    assert planning.limit_bytes(None, workers) == gib * 2**30
 
 
 def test_a_key_depends_on_the_name_alone() -> None:

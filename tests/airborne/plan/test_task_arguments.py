@@ -1,4 +1,4 @@
-"""What a plan says of a task is what is done: its halo, and what its raster holds."""
+"""What a plan says of a task is what is done, and which tasks a setting makes again."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,7 +14,9 @@ from spl_batch.airborne.products.product_table import (
     REFLECTANCE,
     products,
 )
+from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.airborne.settings.workflow import load_workflow
+from spl_batch.airborne.steps import STEPS
 from spl_batch.airborne.store import cells
 from spl_batch.airborne.tasks import space_domain, surfaces
 from spl_batch.lattice.tiles import Bounds, grow
@@ -89,3 +91,18 @@ def test_another_grid_of_the_same_name_makes_heights_above_it_again(tmp_path: Pa
     assert planned() == before
     grid.write_bytes(grid.read_bytes()[:-4] + bytes(4))
     assert all(old != new for old, new in zip(before, planned(), strict=True))
+
+
+@pytest.mark.parametrize("kind", ["sights", "observe", "fit_line", "scatter"])
+def test_the_time_domain_depends_on_all_of_the_noise_but_haze(kind):
+    keys = {key.removeprefix("noise.") for key in STEPS[kind].settings if key.startswith("noise")}
+    assert keys == set(NoiseSettings.model_fields) - {"haze"}
+
+
+@pytest.mark.parametrize("kind", ["index_part", "sights", "observe", "fit_line", "scatter"])
+def test_what_reads_channels_depends_on_where_they_are(kind):
+    assert "survey.channel_dimension" in STEPS[kind].settings
+
+
+def test_the_filter_depends_on_haze():
+    assert "noise" in STEPS["denoise"].settings

@@ -65,6 +65,60 @@ def test_a_named_datum_contradicts_no_file(tmp_path: Path) -> None:
         gathered(tmp_path, [NAVD88], vertical_crs="EPSG:5773")
 
 
+FEET, FEET_NAVD88, HALF = "EPSG:2278", "EPSG:2278+6360", "EPSG:2278+5703"
+
+
+@pytest.mark.parametrize(
+    ("files", "survey", "wanted", "bad"),
+    [
+        ([FEET, FEET, HALF], {}, None, ["2.laz"]),
+        ([FEET, HALF, HALF], {}, 5703, ["0.laz"]),
+        ([FEET, FEET, FEET_NAVD88], {}, 6360, []),
+        ([FEET_NAVD88, FEET_NAVD88, HALF], {}, 6360, ["2.laz"]),
+        ([FEET, HALF, HALF], {"vertical_crs": "EPSG:5703"}, 5703, []),
+        ([FEET, FEET, HALF], {"vertical_crs": "EPSG:5703"}, 5703, []),
+        ([FEET, FEET, HALF], {"vertical_crs": "EPSG:6360"}, 6360, ["2.laz"]),
+        ([FEET, FEET, HALF], {"crs": HALF}, 5703, []),
+        ([UTM, UTM, "EPSG:32615+6360"], {}, None, ["2.laz"]),
+    ],
+)
+def test_most_points_decide_on_the_unit_of_heights(
+    tmp_path: Path, files: list[str | None], survey: dict[str, str], wanted, bad: list[str]
+) -> None:
+    inputs = gathered(tmp_path, files, **survey)
+    assert code(inputs.crs) == wanted
+    assert [Path(fault.path).name for fault in inputs.bad] == bad
+    assert all("US survey feet" in str(fault) and "metres" in str(fault) for fault in inputs.bad)
+
+
+@pytest.mark.parametrize(
+    ("survey", "reference", "stated", "fault"),
+    [
+        (HALF, FEET, None, r"states no unit of heights.* reference\.crs: EPSG:2278"),
+        (HALF, FEET, HALF, ""),
+        (HALF, FEET, FEET_NAVD88, "heights are in US survey feet .* survey's in metres"),
+        (FEET, FEET, None, ""),
+        (FEET_NAVD88, FEET, None, ""),
+        (NAVD88, EGM96, None, "heights are 'EGM96 height'"),
+        (None, UTM, None, r"name it in survey\.crs"),
+        (None, None, None, ""),
+    ],
+)
+def test_heights_of_a_reference_are_the_surveys_by_what_is_stated(
+    tmp_path: Path, survey: str | None, reference: str | None, stated: str | None, fault: str
+) -> None:
+    surveys.write_cloud(tmp_path / "ref.las", surveys.flightline(shots=5), crs=reference)
+    settings = {"points": "ref.las"} | ({} if stated is None else {"crs": stated})
+    surveys.write_cloud(tmp_path / "0.laz", surveys.flightline(shots=5), crs=survey)
+    content = {"survey": {"flightlines": "*.laz"}, "reference": settings, "output": "out"}
+    workflow = Workflow.model_validate(content)
+    if fault:
+        with pytest.raises(WorkflowError, match=f"reference.points: .*{fault}"):
+            gather_inputs(workflow, tmp_path, tmp_path / "out")
+    else:
+        assert gather_inputs(workflow, tmp_path, tmp_path / "out").reference.usable
+
+
 LOCAL, FOOT, US_FOOT = (1024, 32767), 9002, 9003
 
 

@@ -10,13 +10,15 @@ from scipy.stats import median_abs_deviation
 
 from spl_batch.airborne.products.cell_values import (
     _spread2,
+    cell_number,
     fill_voids,
     flown_over,
-    number_cells,
     robust_cell_means,
     sort_into_cells,
 )
-from spl_batch.airborne.products.confirmed_tops import Support, confirmed_tops
+from spl_batch.airborne.products.top_surface import Support, confirmed_tops
+from spl_batch.lattice.tables import PointTable
+from spl_batch.lattice.tiles import Bounds
 from spl_batch.numerics.triangulation.delaunay import triangles
 from spl_batch.numerics.triangulation.tin_raster import tin_raster
 
@@ -192,9 +194,9 @@ def test_cells_are_numbered_by_floor_division(seed: int, size: int) -> None:
     rng = np.random.default_rng(seed)
     x, y = rng.integers(0, 5, (2, 200)) * size + rng.choice([0, 1, size - 1], (2, 200))
     west, south = rng.integers(-(10**12), 10**12, 2).tolist()
-    number = np.empty(200, np.int64)
-    number_cells(x + west, y + south, (west, south), float(size), 12, number)
-    assert np.array_equal(number, y // size * 12 + x // size)
+    table = PointTable({"x": x + west, "y": y + south})
+    bounds = Bounds(west, south, west + 12 * size, south + 5 * size)
+    assert np.array_equal(cell_number(table, bounds, size), y // size * 12 + x // size)
 
 
 @given(seed=st.integers(0, 50), n=st.integers(0, 200))

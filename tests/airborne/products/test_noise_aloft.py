@@ -68,6 +68,12 @@ def test_a_square_has_the_same_density_wherever_it_is_looked_at_from() -> None:
     assert np.array_equal(part, whole[30:151, 39:180])
 
 
+def test_noise_over_a_sliver_of_a_square_at_the_rim_gives_it_no_density_of_its_own() -> None:
+    table = refused(np.random.default_rng(1), TIMES)
+    flown = table.take(table["x"] < 20_500)
+    assert len(set(noise_by_cell(flown, *[WIDE._replace(xmax=20_500)] * 2, SIZE))) == 1
+
+
 def test_without_noise_there_is_none() -> None:
     table = refused(np.random.default_rng(1), TIMES)
     signal = table.take(table["noise_class"] == NOISE_SIGNAL)

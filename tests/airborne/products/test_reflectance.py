@@ -10,13 +10,15 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from spl_batch.airborne.beams.link_budget import link_constant
 from spl_batch.airborne.noise.line_model import LineModel
 from spl_batch.airborne.plan.space_tasks import index_of_boxes
 from spl_batch.airborne.products.reflectance.beamlet_matching import SILENT, Grid, trace
-from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart, aim, link_constant
+from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart, aim
 from spl_batch.airborne.products.reflectance.reflectance import (
     bounds,
     credible_heights,
+    first_surface,
     most_likely,
     raster,
     reach_m,
@@ -98,6 +100,7 @@ def survey(
     table = PointTable({}).with_columns(
         x=xy[:, 0], y=xy[:, 1], z=np.zeros(len(xy)), shot=shot, channel=channel + 1,
         gps_time=CLOCK.t0_s + shot / CLOCK.prf_hz, noise_class=np.zeros(len(xy)),
+        line=np.full(len(xy), 7),
     )  # fmt: skip
     points = np.column_stack([xy / 1000, np.zeros(len(xy))])
     direction = points - sensor[shot]
@@ -107,7 +110,7 @@ def survey(
 
 
 def part_of(table: PointTable, beams: BeamTable, gain: NDArray[np.float64]) -> FiredPart:
-    return aim(table, beams, model(gain), SENSOR, CLOCK)
+    return aim(table, beams, model(gain), SENSOR, CLOCK, 7)
 
 
 def predicted(part: FiredPart, shot: int, channel: int) -> NDArray[np.float64]:
@@ -205,6 +208,21 @@ def test_a_flightline_that_is_shifted_takes_its_beamlets_along() -> None:
     assert np.abs(raster(moved, [part], CORE, PRODUCTS) / here - 1).max() > 0.1
 
 
+def test_flightlines_flown_at_the_same_time_have_returns_of_their_own() -> None:
+    """Twice the beamlets, of which half see nothing: far less light; as much where both see."""
+    table, beams, _ = survey(two_halves, flat_gain())
+    part = part_of(table, beams, flat_gain())
+    alone = raster(table, [part], CORE, PRODUCTS)
+    other = replace(part, line=8)
+    dark = raster(table, [part, other], CORE, PRODUCTS)
+    known = (alone != NODATA) & (alone > 0)
+    assert (dark[known] < 0.75 * alone[known]).all()
+    both = PointTable({k: np.concatenate([table[k], table[k]]) for k in table.columns})
+    lines = np.repeat([7, 8], len(table)).astype(np.uint16)
+    twice = raster(both.with_columns(line=lines), [other, part], CORE, PRODUCTS)
+    assert np.median(twice[known] / alone[known]) == pytest.approx(1.0, abs=0.05)
+
+
 def test_noise_is_no_detection_and_hides_none() -> None:
     table, beams, _ = survey(two_halves, flat_gain())
     part = part_of(table, beams, flat_gain())
@@ -279,7 +297,7 @@ def ends(
 def test_rays_end_where_a_slow_walk_ends() -> None:
     rng = np.random.default_rng(2)
     height = town(rng)
-    low, high = (bounds(height, keep) for keep in (np.fmin, np.fmax))
+    low, high = bounds(height), -bounds(-height)
     grid = Grid(1.0, height, slopes(height, 1.0), low, high)
     sensor = np.array([-300.0, 100.0, 1500.0])
     same = near = 0
@@ -296,6 +314,20 @@ def test_rays_end_where_a_slow_walk_ends() -> None:
     # half a cell is stepped at once: some rays end in the next cell, a few beside a corner
     assert near >= 396
     assert same >= 280
+
+
+def test_bounds_are_those_of_a_loop_over_squares_and_their_neighbours() -> None:
+    rng = np.random.default_rng(6)
+    shape = 37, 50
+    cell = rng.choice(37 * 50, 500, replace=False)
+    z = rng.integers(0, 2000, 500).astype(np.int32)
+    grid = first_surface(cell, z, shape, PRODUCTS.model_copy(update={"dsm_void_max_m": 1.0}))
+    assert grid.low.shape == grid.high.shape == (5, 7)
+    for row, col in np.ndindex(5, 7):
+        around = grid.height[max(8 * row - 8, 0) : 8 * row + 16, max(8 * col - 8, 0) : 8 * col + 16]
+        assert grid.low[row, col] == np.nanmin(around)
+        assert grid.high[row, col] == np.nanmax(around)
+    assert np.isnan(bounds(np.full((9, 9), np.nan))).all()
 
 
 def test_noise_in_the_air_is_no_surface() -> None:

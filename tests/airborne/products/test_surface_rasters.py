@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spl_batch.airborne.classes.point_classes import classify
-from spl_batch.airborne.products.confirmed_tops import lift_pits
 from spl_batch.airborne.products.product_table import PRODUCTS
 from spl_batch.airborne.products.surface_rasters import reach_m, surfaces
+from spl_batch.airborne.products.top_surface import lift_pits
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import NODATA
 from spl_batch.lattice.tables import PointFlag, PointTable

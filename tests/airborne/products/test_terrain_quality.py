@@ -8,11 +8,11 @@ from scipy import ndimage
 from spl_batch.airborne.products.terrain_quality import (
     AROUND,
     RINGS,
+    Scatter,
     _add_up,
     _boxes,
-    _fit_rings,
-    _Ground,
     _moments,
+    _off_ring,
     _room,
     scatter_of,
     terrain_sigma,
@@ -62,17 +62,15 @@ def test_rings_are_those_of_least_squares() -> None:
     rng = np.random.default_rng(8)
     held = rng.random((24, 24)) < 0.4
     means = cell_means(rng.normal(0, 1, (24, 24)), held)
-    ground, widest = _Ground(means, held, 1.0), 2 * RINGS[-1]
-    integrals = _moments(ground, widest)
+    integrals = _moments(means, 2 * RINGS[-1])
     row, column = np.indices(held.shape)
     for ring in RINGS[:3]:
-        reaches = ((widest - far, widest + 1 + far) for far in (2 * ring, ring - 1))
-        room, (known, off) = _room(2, held.shape, 0)
-        _fit_rings(*ground.by_cell, integrals, *reaches, 1, room)
+        planes = np.full((5, *held.shape), np.nan)
+        off = _off_ring(means, integrals, 2 * RINGS[-1], ring, planes)
         for r, c in np.argwhere(held)[::9]:
             away = np.maximum(abs(row - r), abs(column - c))
             near = means[held & (away >= ring) & (away <= 2 * ring)]
-            assert known[r, c] == (len(near) >= 6)
+            assert np.isnan(off[r, c]) == (len(near) < 6)
             if len(near) >= 6:
                 d = near - near.mean(axis=0)
                 normal = d[:, :2].T @ d[:, :2] / len(near) + 0.25 * np.eye(2)
@@ -115,6 +113,20 @@ def test_scatter_is_that_of_each_cell_about_its_mean() -> None:
         assert np.allclose(found.products[k], of[np.tril_indices(3)][[0, 1, 2, 3, 4, 5]])
     none = scatter_of(([places[0][:0]] * 3), np.zeros(4, np.int64), 1e-3)
     assert none.products.shape == (0, 6)
+
+
+def test_the_layer_that_returns_fill_counts_and_a_slope_does_not() -> None:
+    """Cells that differ by more than what grows in them: its variance about the slope is added."""
+    rng = np.random.default_rng(12)
+    each, edge, spread_m = 8, 48, 0.1
+    cells = rng.normal(0, 0.5, (edge, edge, 1))
+    places, start = returns(cells + rng.normal(0, spread_m, (edge, edge, each)))
+    means = places.reshape(edge, edge, each, 3).mean(axis=2)
+    found = scatter_of((*np.rint(places.T * 1000).astype(np.int32),), start, 1e-3)
+    scatter = Scatter(found.returns.reshape(edge, edge), found.products.reshape(edge, edge, 6))
+    layer = terrain_sigma(means, 1.0, scatter) ** 2 - terrain_sigma(means, 1.0) ** 2
+    inner = layer[REACH // 2 : -REACH // 2, REACH // 2 : -REACH // 2]
+    assert np.sqrt(inner) == pytest.approx(spread_m * np.sqrt(1 - 1 / each), rel=0.1)
 
 
 def test_nothing_is_said_without_ground() -> None:

@@ -1,4 +1,4 @@
-"""What receipts say of flightlines against each other, added up by hand."""
+"""Findings of the page "Is it good enough?", and what they rest on, added up by hand."""
 
 import math
 from types import SimpleNamespace
@@ -11,8 +11,15 @@ from spl_batch.airborne.report.good_enough import (
     _swaths,
     _time_standard,
     checkpoint_findings,
+    sparse_vegetation,
 )
-from spl_batch.airborne.report.model import Checkpoint, Checkpoints, CheckpointStatistics
+from spl_batch.airborne.report.model import (
+    Checkpoint,
+    Checkpoints,
+    CheckpointStatistics,
+    Density,
+)
+from spl_batch.airborne.settings import ClassSettings
 from spl_batch.airborne.settings.requirements import RequirementSettings
 
 
@@ -73,5 +80,15 @@ def test_a_checkpoint_with_a_blunder_is_warned_of(error_m: float, *, warned: boo
     said = list(checkpoint_findings(tested, context))
     assert len(said) == warned
     assert all(one.values["worst"] == "p17" for one in said)
-    assert all(one.values["error_cm"] == pytest.approx(100 * error_m) for one in said)
+    assert all(one.values["error_m"] == pytest.approx(error_m) for one in said)
     assert not list(checkpoint_findings(None, context))
+
+
+@pytest.mark.parametrize(
+    ("per_m2", "few"), [(0.24, True), (0.99, True), (1.0, False), (None, False)]
+)
+def test_vegetation_of_few_returns_is_warned_of(per_m2: float | None, *, few: bool) -> None:
+    asked = ClassSettings.model_validate({"vegetation": {}})
+    found = sparse_vegetation(Density(mean_per_m2=per_m2), asked)
+    assert [one.code for one in found] == ["G03"] * few
+    assert sparse_vegetation(Density(mean_per_m2=per_m2), ClassSettings()) == ()

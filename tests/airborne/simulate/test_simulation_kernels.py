@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import optimize, stats
 
-from spl_batch.airborne.beams import link_budget
+from spl_batch.airborne.beams.link_budget import link_constant
+from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.airborne.simulate import (
     detector,
     flight,
@@ -16,13 +17,14 @@ from spl_batch.airborne.simulate import (
 )
 from spl_batch.airborne.simulate.brightness import physical_noise
 from spl_batch.airborne.simulate.scene import beam_layers, ray_trace
-from spl_batch.airborne.simulate.scene.layout import lay_out
-from spl_batch.airborne.simulate.scene.objects import (
+from spl_batch.airborne.simulate.scene.layout import (
     building_solid,
     catenary,
+    lay_out,
     tower_solid,
 )
-from spl_batch.airborne.simulate.scene.scene_file import Building, Wires
+from spl_batch.airborne.simulate.scene.scene_file import Building, Wires, parse_scene
+from spl_batch.errors import WorkflowError
 from spl_batch.numerics import attitude
 
 
@@ -180,7 +182,7 @@ def test_distance_of_a_ray_from_a_wire_is_the_smallest_one():
 
 
 def test_signal_follows_equation_2_1():
-    constant = link_budget.signal_constant(0.8 * 0.2 * 0.05, 0.83e-6, 532.0, 0.076)
+    constant = link_constant(load_preset("spl100"))
     h_nu = 6.62607015e-34 * 299792458 / 532e-9
     area = math.pi * 0.038**2
     expected = 0.8 * 0.2 * 0.05 * 0.83e-6 / h_nu * 0.25 * area / (math.pi * 2588**2)
@@ -326,6 +328,12 @@ def test_clear_water_is_a_surface_a_column_and_a_bottom():
     assert beam_layers.look(scene, o, d, d, 1e-4, layers)[0] == 0, "opaque water is its surface"
 
 
+def test_a_flightline_beside_the_scene_is_refused():
+    scene = parse_scene({"extent_m": [9, 9], "flights": [{"heading_deg": 0, "offset_m": 3e3}]}, "")
+    with pytest.raises(WorkflowError, match=r"flights\.0: no shot meets .* choose a smaller one"):
+        flight.make_passes(scene, lay_out(scene).arrays)
+
+
 def test_no_shot_near_the_scene_is_passed_over():
     tiny = preset_scene("tiny")
     scene = tiny.model_copy(
@@ -335,15 +343,14 @@ def test_no_shot_near_the_scene_is_passed_over():
         }
     )
     arrays, found = lay_out(scene).arrays, 0
-    for run in flight.make_passes(scene):
+    for run in flight.make_passes(scene, arrays):
         shots_of = np.arange(math.ceil(2 * run.half_s + 2) * scene.acquisition.prf_hz)
         ground, range_m = flight.ground_points(run, shots_of.astype(np.int64), arrays)
         outside = np.maximum(-ground[:, :2], ground[:, :2] - scene.extent_m).max(axis=1)
         reach = flight.array_reach_m(scene, run.flight) + scene.acquisition.margin_m
         expected = np.flatnonzero(outside <= reach)
-        pieces = list(flight.chunks(run, arrays))
-        np.testing.assert_array_equal(np.concatenate([p.shot for p in pieces]), expected)
-        ranges = np.concatenate([p.ground_range_m for p in pieces])
+        np.testing.assert_array_equal(np.concatenate([p.shot for p in run.chunks]), expected)
+        ranges = np.concatenate([p.ground_range_m for p in run.chunks])
         np.testing.assert_allclose(ranges, range_m[expected], rtol=1e-12)
         found += len(expected)
     assert found > 100

@@ -122,19 +122,6 @@ def test_points_without_labels_say_so(tmp_path: Path) -> None:
     assert np.all(np.isnan(back["p_value"]))
 
 
-def test_a_unit_with_nothing_in_a_tile(tmp_path: Path) -> None:
-    store = Store(tmp_path)
-    path = store.table("ground", "u")
-    write_labels(path, *labelled(np.empty((0, 2)), np.empty(0), np.empty(0)))
-    assert len(labels_of(store, "u", CellId(0, 0))["row"]) == 0
-    tiles = np.array([[1, 0], [0, 1], [1, 0]], np.int32)
-    write_labels(path, *labelled(tiles, np.array([7, 3, 2]), np.array([1, 2, 3])))
-    back = labels_of(store, "u", CellId(1, 0))
-    assert back["row"].tolist() == [2, 7]
-    assert back["ground"].tolist() == [3, 1]
-    assert len(labels_of(store, "u", CellId(1, 1))["row"]) == 0
-
-
 def labelled(
     tiles: NDArray[Any], rows: NDArray[Any], ground: NDArray[Any]
 ) -> tuple[Origin, dict[str, NDArray[Any]]]:

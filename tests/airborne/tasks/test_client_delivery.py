@@ -1,7 +1,9 @@
 """What a client asks for: tiles by polygons, heights above ground, contours, dropped points."""
 
 import json
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -13,10 +15,14 @@ import pytest
 import rasterio
 import shapely
 from contourpy import contour_generator
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from pyproj import CRS
 from scipy.interpolate import RegularGridInterpolator
 
+from spl_batch.airborne.catalogue.catalogues import in_units
 from spl_batch.airborne.tasks import client_tiles, delivered_points, index
+from spl_batch.formats.las.cut import Piece, write_cut
 from spl_batch.formats.las.header import read_header
 from spl_batch.formats.named_areas import lies_in, read_named_areas
 from spl_batch.formats.rasters import parts
@@ -307,11 +313,49 @@ def test_what_two_polygons_share_by_rounding_is_the_first_ones(tmp_path: Path) -
     shapes = {"a": shapely.box(0, 0, 10, 10), "b": shapely.box(9.9985, 0, 20, 10)}
     path = write_tiles(tmp_path / "tiles.gpkg", shapes)
     areas = read_named_areas(path, CRS.from_user_input(surveys.CRS_NAME), "tile")
-    x, y = np.array([0, 9_997, 9_998, 9_999, 10_000, 20_000]), np.full(6, 5_000)
+    x, y = np.array([0, 9.997, 9.998, 9.999, 10.0, 20.0]), np.full(6, 5.0)
     assert [lies_in(one.shape, x, y).tolist() for one in areas] == [
         [True, True, True, True, False, False],
         [False, False, False, False, True, False],
     ]
+
+
+@pytest.mark.parametrize("crs", [FEET, "EPSG:2992+8228", surveys.CRS_NAME])
+@given(
+    west=st.integers(200_000, 3_500_000),
+    south=st.integers(3_000_000, 9_500_000),
+    edge=st.integers(1, 4),
+    scale=st.sampled_from([0.01, 0.001, 0.0025]),
+    before=st.sampled_from([0, 77, 1_000]),
+)
+@settings(max_examples=10, deadline=None)
+def test_whole_units_on_an_edge_are_the_eastern_and_the_northern_tiles(
+    crs: str, west: int, south: int, edge: int, scale: float, before: int
+) -> None:
+    known = CRS.from_user_input(crs)
+    tiles = {
+        f"{i}_{j}": shapely.box(*(np.array([i, j, i + 1, j + 1]) * edge + [west, south] * 2))
+        for i in range(2)
+        for j in range(2)
+    }
+    quarters = np.arange(-1, 2 * edge * 4 + 1)
+    east, north = (grid.ravel() for grid in np.meshgrid(quarters, quarters))
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    header.scales, header.offsets = np.full(3, scale), np.array([west - before, south - before, 0])
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = west + east / 4, south + north / 4, np.zeros(len(east))
+    las.intensity = np.arange(len(east))
+    with TemporaryDirectory() as folder:
+        path = write_tiles(Path(folder, "tiles.gpkg"), tiles, crs=crs)
+        cloud, cut = Path(folder, "whole.laz"), Path(folder, "cut.laz")
+        las.write(cloud)
+        for one in read_named_areas(path, known, "tile"):
+            area = in_units(one.shape, Units.of(known))
+            shapely.prepare(area)
+            assert write_cut(cut, [Piece(cloud, [(0, len(east))])], partial(lies_in, area))
+            i, j = map(int, one.name.split("_"))
+            own = (east // (4 * edge) == i) & (north // (4 * edge) == j)
+            assert np.array_equal(laspy.read(cut).intensity, np.flatnonzero(own))
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from spl_batch.airborne.tasks.accuracy import compared
 from spl_batch.engine.store.working_store import read_receipts
 from spl_batch.engine.tasks import runner
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.engine.verbs.preparing import prepare
+from spl_batch.engine.verbs.planning import prepare
 from spl_batch.engine.verbs.progress import makers
 from spl_batch.errors import DamagedError
 from spl_batch.formats.verified.parquet_npz import (

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from spl_batch.airborne.plan import flightlines
-from spl_batch.engine.tasks.worklist import Worklist
+from spl_batch.engine.verbs.graph import Worklist
 from tests import surveys
 
 Way = Callable[[Path, pytest.FixtureRequest], None]

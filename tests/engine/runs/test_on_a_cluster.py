@@ -61,7 +61,7 @@ def cluster(dask_processes: Cluster) -> Cluster:
     ("patch", "arguments", "said"),
     [
         (
-            ("spl_batch.airborne.receiver.code_version", lambda _: "0.0+other"),
+            ("spl_batch.engine.verbs.planning.code_version", lambda _: "0.0+other"),
             (),
             "here it is 0.0+other",
         ),

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from spl_batch import api
-from spl_batch.engine.store import deliveries
 from spl_batch.engine.store.working_store import Store, read_receipts
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.engine.tasks.worklist import Worklist
-from spl_batch.engine.verbs.conclusion import REST
+from spl_batch.engine.verbs import output_owner
+from spl_batch.engine.verbs.graph import Worklist
+from spl_batch.engine.verbs.running import REST
 from tests import surveys
 
 
@@ -39,7 +39,7 @@ def looked(workflow: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
 
     with monkeypatch.context() as patch:
         patch.setattr(Worklist, "look", counted)
-        patch.setattr(deliveries, "read_receipts", read)
+        patch.setattr(output_owner, "read_receipts", read)
         assert api.run(workflow, workers=0).exit_status == 0
     return bool(looks)
 

@@ -211,13 +211,14 @@ def test_a_record_without_a_vertical_datum_gets_that_of_the_survey(
 
 @pytest.mark.parametrize(("point_format", "wanted"), [(1, 32615), (6, 32616)])
 @pytest.mark.parametrize("other", ["EPSG:32616", "EPSG:32615"])
+@pytest.mark.parametrize("writer", ["LASF_Projection", "liblas"])
 def test_keys_and_wkt_that_contradict_each_other(
-    tmp_path: Path, point_format: int, wanted: int, other: str
+    tmp_path: Path, point_format: int, wanted: int, other: str, writer: str
 ) -> None:
     keys = np.array([1, 1, 0, 2, 1024, 0, 1, 1, 3072, 0, 1, 32615], "<u2").tobytes()
     wkt = CRS.from_user_input(other).to_wkt("WKT1_GDAL").encode() + b"\0"
     records = [laspy.VLR("LASF_Projection", 34735, "", keys)]
-    records.append(laspy.VLR("LASF_Projection", 2112, "", wkt))
+    records.append(laspy.VLR(writer, 2112, "", wkt))
     src = write_las(tmp_path / "a.las", point_format=point_format, vlrs=records)
     crs, warnings = header_crs(read_header(src))
     assert crs is not None
@@ -226,6 +227,7 @@ def test_keys_and_wkt_that_contradict_each_other(
         return
     assert crs.to_epsg() == wanted
     assert all(name in warnings[0] for name in ("EPSG:32615", "EPSG:32616"))
+    assert "Longitude of natural origin -87 degree against -93 degree" in warnings[0]
     classify(src, tmp_path / "b.laz")
     copy = read_header(tmp_path / "b.laz")
     assert header_crs(copy) == (crs, ())
@@ -252,6 +254,18 @@ def test_heights_of_keys_and_wkt_are_above_the_same(
     records.append(laspy.VLR("LASF_Projection", 2112, "", wkt))
     src = write_las(tmp_path / "a.las", version="1.4", point_format=6, vlrs=records)
     assert (header_crs(read_header(src))[1] == ()) == agree
+
+
+def test_the_record_of_liblas_takes_no_heights_from_keys(tmp_path: Path) -> None:
+    keys = [1, 1, 0, 3, 1024, 0, 1, 1, 3072, 0, 1, 32615, 4096, 0, 1, 5703]
+    wkt = CRS("EPSG:32615").to_wkt("WKT1_GDAL").encode() + b"\0"
+    records = [laspy.VLR("liblas", 2112, "", wkt)]
+    for wanted in (2, 0):
+        src = write_las(tmp_path / "a.las", version="1.2", point_format=1, vlrs=records)
+        crs, warnings = header_crs(read_header(src))
+        assert crs is not None
+        assert (len(crs.sub_crs_list), warnings) == (2 - wanted, ())
+        records.append(laspy.VLR("LASF_Projection", 34735, "", np.array(keys, "<u2").tobytes()))
 
 
 @pytest.mark.parametrize("code", [5019, 5030])

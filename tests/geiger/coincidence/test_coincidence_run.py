@@ -14,21 +14,17 @@ import pytest
 import yaml
 
 from spl_batch import api
-from spl_batch.engine.settings.workflow_file import parse_any
 from spl_batch.errors import InputError, WorkflowError
 from spl_batch.geiger.coincidence import files
 from spl_batch.geiger.coincidence.settings import (
     ArraySettings,
     CoincidenceSettings,
-    CoincidenceWorkflow,
 )
-from spl_batch.geiger.coincidence.simulate import SceneSettings
 from spl_batch.geiger.coincidence.surface import coincide
 from spl_batch.geiger.coincidence.tables import Detections
 from spl_batch.lattice.tiles import Bounds
 from tests import surveys
 from tests.geiger.coincidence.coincidence_scene import SMALL, flown
-from tests.workflow_files import differing, unshown
 
 ROOT = Path(__file__).parents[3]
 
@@ -88,13 +84,8 @@ def test_points_files_and_report(survey: Path) -> None:
 def test_neither_cuts_nor_the_order_of_rows_change_the_points(survey: Path) -> None:
     # The complete workflow of the examples, with another array, and other tiles and volumes.
     text = (ROOT / "workflows" / "coincidence.yaml").read_text(encoding="utf-8")
-    assert unshown(text, CoincidenceWorkflow) == []
     known = ArraySettings.model_validate({"preset": "intelliearth", "rows": 16})
     assert (known.rows, known.columns, known.ifov_rad) == (16, 128, 35e-6)
-    inputs = {"frames": "f", "detections": "d"}
-    bare = parse_any({"kind": "coincidence", "output": "out", "survey": inputs}, "bare")
-    different = differing(yaml.safe_load(text), bare.model_dump(mode="json"))
-    assert {path.partition(".")[0] for path in different} == {"survey"}
     other = survey / "other"
     (other / "l1").mkdir(parents=True)
     (other / "complete.yaml").write_text(text, encoding="utf-8")
@@ -268,9 +259,3 @@ def test_a_damaged_footer_ends_no_process(tmp_path: Path) -> None:
 def test_faults_of_a_workflow(survey: Path, change: str, key: str) -> None:
     with pytest.raises(WorkflowError, match=key):
         api.plan(survey / "workflow.yaml", overrides=(change,))
-
-
-def test_the_scene_file_shows_every_key_with_its_default() -> None:
-    text = (ROOT / "workflows" / "coincidence_scene.yaml").read_text(encoding="utf-8")
-    assert unshown(text, SceneSettings) == []
-    assert differing(yaml.safe_load(text), SceneSettings().model_dump(mode="json")) == []

@@ -19,13 +19,9 @@ from spl_batch.engine.report.schema import schemas
 from spl_batch.errors import PlanError, WorkflowError
 from spl_batch.formats.verified.parquet_npz import read_arrays
 from spl_batch.geiger.water import formats, receiver
-from spl_batch.geiger.water.settings import WaterSurvey, WaterWorkflow
-from spl_batch.geiger.water.simulate import WaterScene, simulate_file
 from tests import surveys
 from tests.geiger.water.water_scene import TANK, write_tank
-from tests.workflow_files import differing, unshown
 
-ROOT = Path(__file__).parents[3]
 CRS = "survey.crs=EPSG:32616"
 
 
@@ -209,20 +205,6 @@ def test_a_gate_that_is_given_is_the_water_s_alone(tank: Path, tmp_path: Path) -
     assert counted["frames/tank_00.h5"] == [397, 444]
     near, far = counted["calibration/2.5m_2.h5"], counted["calibration/3.5m_2.h5"]
     assert far[0] - near[0] == pytest.approx(27, abs=4), "a metre more, in bins"
-
-
-def test_the_example_files_show_every_key(tmp_path: Path) -> None:
-    text = (ROOT / "workflows" / "water_surface.yaml").read_text()
-    assert unshown(text, WaterWorkflow) == []
-    bare = WaterWorkflow(survey=WaterSurvey(frames="x"), output="out").model_dump(mode="json")
-    examples = {"survey.name", "survey.frames", "calibration.frames"}
-    assert set(differing(yaml.safe_load(text), bare)) == examples
-    shown = yaml.safe_load((ROOT / "workflows" / "water_scene.yaml").read_text())
-    assert len(WaterScene.model_validate(shown).target.waves) == 2
-    scene = {"kind": "water_surface", "target": {"waves": []}}
-    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(scene))
-    with pytest.raises(WorkflowError, match=r"target\.down_m"):
-        simulate_file(tmp_path / "scene.yaml", tmp_path / "out")
 
 
 def test_a_chunk_that_memory_has_no_room_for_is_refused(tank: Path, tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from spl_batch.formats.las.convert import copied_format
 from spl_batch.formats.las.copc import copc_fault
 from spl_batch.formats.las.reader import LasFacts
 from spl_batch.formats.named_areas import NamedArea, read_named_areas
+from spl_batch.formats.units import Units
 
 TILES_KEY: Final = "outputs.client_tiles.polygons"
 """Key of the file with a client's tiles."""
@@ -48,6 +49,7 @@ def client_tiles(
             areas = read_named_areas(path, crs, tiles.name)
     except InputError as fault:
         raise WorkflowError(f"{TILES_KEY}: {fault}") from None
-    if apart := beside(np.array([one.shape for one in areas]), boxes_of(files)):
+    shapes = np.array([one.shape for one in areas])
+    if apart := beside(shapes, boxes_of(files), Units.of(crs)):
         raise WorkflowError(f"{TILES_KEY}: {path}: {ASTRAY.format(**apart)}")
     return tuple(areas)

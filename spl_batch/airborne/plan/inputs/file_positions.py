@@ -13,6 +13,7 @@ from spl_batch.engine.findings import Finding
 from spl_batch.errors import InputError, grouped, named
 from spl_batch.formats.crs import like_degrees, look_like_degrees
 from spl_batch.formats.las.reader import LasFacts, inspect
+from spl_batch.formats.units import METRES, Units
 
 FAR_M: Final = 10_000.0
 """Gap up to which parts belong to a survey however short its files are [m]: groups of flightlines
@@ -29,11 +30,17 @@ THINNEST: Final = 1e-3
 of a tile, as a share of the tile of most points."""
 
 
-def extent(places_m: ArrayLike) -> str:
-    """Box around places, (n, 2) [m], in words."""
-    places = np.asarray(places_m)
+def extent(places_m: ArrayLike, units: Units = METRES) -> str:
+    """Box around places, (n, 2) [m], in words: in the unit of ``units``, metres beside."""
+    (name, unit_m), places = units.of_places, np.asarray(places_m)
+    if unit_m != 1.0:
+        return f"{_box(places / unit_m, name)} ({_box(places, 'm')})"
+    return _box(places, name)
+
+
+def _box(places: NDArray[np.float64], unit: str) -> str:
     west, south, east, north = map(grouped, (*places.min(axis=0), *places.max(axis=0)))
-    return f"{west} to {east} m E, {south} to {north} m N"
+    return f"{west} to {east} {unit} E, {south} to {north} {unit} N"
 
 
 def boxes_of(files: Iterable[LasFacts]) -> NDArray[Any]:
@@ -43,12 +50,15 @@ def boxes_of(files: Iterable[LasFacts]) -> NDArray[Any]:
     return boxes
 
 
-def beside(shapes: NDArray[Any], survey: NDArray[Any]) -> dict[str, str]:
-    """Extents of shapes and of a survey's boxes, where none of the shapes meets one; else empty."""
+def beside(shapes: NDArray[Any], survey: NDArray[Any], units: Units = METRES) -> dict[str, str]:
+    """Extents of shapes and of a survey's boxes, where none of the shapes meets one; else empty.
+
+    ``units``: of the survey; shapes and boxes are in metres.
+    """
     if not len(survey) or shapely.STRtree(survey).query(shapes, "intersects").size:
         return {}
     both = {"shapes": shapes, "points": survey}
-    return {name: extent(shapely.get_coordinates(some)) for name, some in both.items()}
+    return {name: extent(shapely.get_coordinates(some), units) for name, some in both.items()}
 
 
 ASTRAY: Final = (

@@ -3,10 +3,11 @@
 A bad file of points compares nothing, and fails alone; checkpoints are read before the work starts.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 from pyproj import CRS
 
 from spl_batch.airborne.plan.inputs.file_positions import extent, inspected, usable
@@ -25,14 +26,15 @@ from spl_batch.formats.checkpoints import Checkpoint
 from spl_batch.formats.crs import (
     like_degrees,
     look_like_degrees,
+    no_survey_crs,
     other_crs,
     parse_crs,
     same_crs,
-    vertical,
 )
 from spl_batch.formats.files.atomic import real_path
+from spl_batch.formats.heights import NAVD88, completed, heights_fault
 from spl_batch.formats.las.reader import LasFacts
-from spl_batch.formats.units import Units
+from spl_batch.formats.units import Units, both
 
 
 class ReferenceFiles(NamedTuple):
@@ -57,7 +59,12 @@ def checked_reference(
     stated = settings.crs if settings else None
     given = None if stated is None else parse_crs(stated, "reference.crs")
     known, damaged = inspected(paths)
-    good, elsewhere = usable(known, lambda f: _crs_fault(f, f.crs or given, crs, others))
+
+    def fault(facts: LasFacts) -> str:
+        found = given if facts.crs is None else completed(facts.crs, given)
+        return _crs_fault(facts, found, crs, others)
+
+    good, elsewhere = usable(known, fault)
     if elsewhere and not good:
         told = (f"reference.points: {text}" for text in told_together([*damaged, *elsewhere]))
         raise WorkflowError("; ".join(told))
@@ -71,12 +78,12 @@ def _crs_fault(
     """Why a file cannot be compared with a survey of this CRS; empty if it can."""
     if found is None and facts.n_points and look_like_degrees(facts.mins_m, facts.maxs_m):
         return like_degrees([facts.mins_m, facts.maxs_m], "reference.crs")
-    if crs is None or found is None:
+    if found is None:
         return ""
+    if crs is None:
+        return no_survey_crs(found)
     if same_crs(found, crs):
-        mine, ours = Units.of(found).vertical, Units.of(crs).vertical
-        stated = vertical(found) is not None and mine != ours
-        return f"its heights are in {mine}, the survey's in {ours}; reproject it" * stated
+        return heights_fault(found, crs, "name it in reference.crs:")
     remedy = "reproject it"
     if others:
         remedy = (
@@ -118,24 +125,37 @@ def looked_into(
             known, told = read_named(file.path, crs, settings)
     except InputError as fault:
         raise WorkflowError(f"reference.checkpoints: {fault}") from None
-    boxes = [(facts.mins_m, facts.maxs_m) for facts in files if facts.n_points]
-    within = [any(_inside(point, *box) for box in boxes) for point in known]
-    if known and not any(within):
-        told.append(_elsewhere(known, boxes))
+    told += _misplaced(known, [(f.mins_m, f.maxs_m) for f in files if f.n_points], Units.of(crs))
     return [Finding("C01", {"kind": "file", "what": text}, file.name) for text in told]
 
 
-def _inside(point: Checkpoint, low_m: Sequence[float], high_m: Sequence[float]) -> bool:
-    return low_m[0] <= point.x_m <= high_m[0] and low_m[1] <= point.y_m <= high_m[1]
-
-
-def _elsewhere(
-    points: Sequence[Checkpoint], boxes: Sequence[tuple[Sequence[float], Sequence[float]]]
-) -> str:
-    """Where all checkpoints lie and where the survey does: a wrong CRS shows at once."""
-    mine = extent([(point.x_m, point.y_m) for point in points])
-    survey = extent([corner[:2] for box in boxes for corner in box])
-    return (
-        f"none of {len(points)} checkpoints lies within the survey: they lie within {mine}, "
-        f"its points within {survey}; name their CRS in reference.checkpoints_crs if it is another"
-    )
+def _misplaced(
+    points: Sequence[Checkpoint],
+    boxes: Sequence[tuple[Sequence[float], Sequence[float]]],
+    units: Units,
+) -> Iterator[str]:
+    """Where all checkpoints lie and where the survey does: a wrong CRS, or unit, shows at once."""
+    places = np.array([(point.x_m, point.y_m, point.z_m) for point in points]).reshape(-1, 3)
+    low, high = (np.array([box[end] for box in boxes]).reshape(-1, 3) for end in (0, 1))
+    inside = (places[:, None] >= low) & (places[:, None] <= high)
+    within = inside[..., 0] & inside[..., 1]
+    if len(points) and not within.any():
+        mine, survey = (
+            extent(ends, units) for ends in (places[:, :2], np.concatenate([low, high])[:, :2])
+        )
+        yield (
+            f"none of {len(points)} checkpoints lies within the survey: they lie within {mine}, "
+            f"its points within {survey}; name their CRS in reference.checkpoints_crs if it is "
+            "another"
+        )
+    elif len(points) and not (within & inside[..., 2]).any():
+        z, ends = places[np.any(within, axis=1), 2], (low[:, 2].min(), high[:, 2].max())
+        mine, survey = (
+            " to ".join(both(end, units.of_heights) for end in (np.min(some), np.max(some)))
+            for some in (z, ends)
+        )
+        yield (
+            f"none of {len(z)} checkpoints has a height that points have there: {mine}, those of "
+            f"points {survey}; if they are in another unit or above another datum, name it, "
+            f"reference.checkpoints_crs: EPSG:...+5703 ({NAVD88})"
+        )

@@ -1,15 +1,17 @@
 """CRS of a survey and of its heights: the setting's, else what most points say."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
+from spl_batch.airborne.context import reprojection
 from spl_batch.airborne.plan.inputs.file_positions import usable, without_degrees
+from spl_batch.airborne.settings import OutputSettings, SurveySettings
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.findings import Finding
 from spl_batch.errors import InputError, WorkflowError
@@ -21,15 +23,17 @@ from spl_batch.formats.crs import (
     other_crs,
     parse_crs,
     same_crs,
-    same_heights,
     scale_there,
     stretch_problem,
     vertical,
+    with_vertical,
 )
+from spl_batch.formats.heights import NAVD88, completed, heights_fault
 from spl_batch.formats.las.header import WAVEFORM_FORMATS
 from spl_batch.formats.las.reader import LasFacts
-from spl_batch.formats.reprojection import Reprojection
-from spl_batch.formats.units import Units
+from spl_batch.formats.units import Units, in_words
+
+T = TypeVar("T", bound=Hashable)
 
 AREAS_APART: Final = 0.01
 """Areas and densities that are off by a larger part are worth a word."""
@@ -53,7 +57,10 @@ def survey_crs(
     given = given or _of_most((facts, facts.crs and horizontal(facts.crs)) for facts in good)
     if given is None:
         return None, good, bad
-    remedy = "; reproject the file"
+    remedy = (
+        "; reproject the file, or if its CRS is wrong write the right one into it, "
+        "e.g. pdal translate in.laz out.laz --writers.las.a_srs=EPSG:..."
+    )
     if stated is not None:
         remedy += ", or leave out survey.crs, which is for files that carry none"
 
@@ -68,13 +75,17 @@ def survey_crs(
     return horizontal(given), good, bad + elsewhere + stretched
 
 
-def check_reprojection(named: str, crs: CRS | None, files: Sequence[LasFacts]) -> None:
+def check_reprojection(outputs: OutputSettings, crs: CRS | None, files: Sequence[LasFacts]) -> None:
     """Refuse a CRS for outputs that the survey's corners, or waveforms, cannot be brought to."""
+    moved = reprojection(outputs, crs)
+    if moved is None:
+        return
     ends = [end for facts in files if facts.n_points for end in (facts.mins_m, facts.maxs_m)]
-    Reprojection(crs, named).check(np.array(ends) / Units.of(crs).xyz_m)
-    if waves := [facts for facts in files if facts.point_format in WAVEFORM_FORMATS]:
+    moved.check(np.array(ends) / Units.of(crs).xyz_m)
+    waves = [facts for facts in files if facts.point_format in WAVEFORM_FORMATS]
+    if waves and moved.moves_points:
         raise WorkflowError(
-            f"outputs.crs: {waves[0].path}: directions of waveforms are not converted; leave it out"
+            f"{moved.key}: {waves[0].path}: directions of waveforms are not converted; leave it out"
         )
 
 
@@ -87,37 +98,43 @@ def _corners(files: Iterable[LasFacts]) -> NDArray[np.float64]:
     return np.array([low.min(axis=0), high.max(axis=0)])
 
 
-def _of_most(found: Iterable[tuple[LasFacts, CRS | None]]) -> CRS | None:
-    """CRS that most points have; None where no file names one."""
-    votes: Counter[str] = Counter()
-    for facts, crs in found:
-        if crs is not None and facts.n_points:
-            votes[crs.to_wkt()] += facts.n_points
-    return CRS.from_wkt(votes.most_common(1)[0][0]) if votes else None
+def _of_most(found: Iterable[tuple[LasFacts, T | None]]) -> T | None:
+    """CRS, or unit, that most points have; None where no file names one."""
+    votes: Counter[T] = Counter()
+    for facts, named in found:
+        if named is not None and facts.n_points:
+            votes[named] += facts.n_points
+    return votes.most_common(1)[0][0] if votes else None
 
 
 def with_heights(
-    crs: CRS | None, stated: str | None, files: Sequence[LasFacts]
+    crs: CRS | None, settings: SurveySettings, files: Sequence[LasFacts]
 ) -> tuple[CRS | None, list[LasFacts], list[InputError]]:
-    """The survey's CRS with its vertical one, if there is any; files that name another are bad.
+    """The survey's CRS with its vertical one, if there is any; files of other heights are bad.
 
-    It is that of the setting ``survey.crs``, else what most points say.
+    It is that of the setting ``survey.crs``, else what most points say in the unit that most have:
+    a few files that state metres do not make metres of feet that others leave to their eastings.
     """
-    named = None if stated is None else vertical(parse_crs(stated, "survey.crs"))
     if crs is None:
         return None, list(files), []
-    named = named or _of_most((facts, _heights(facts)) for facts in files)
+    stated = None if settings.crs is None else parse_crs(settings.crs, "survey.crs")
+    named = None if stated is None else vertical(stated)
+    if settings.vertical_crs is not None:
+        stated = with_vertical(crs, settings.vertical_crs, "survey.vertical_crs")
+    own = [(facts, completed(facts.crs, stated)) for facts in files if facts.crs is not None]
     if named is None:
-        return crs, list(files), []
+        unit_m = _of_most((facts, Units.of(found).vertical_m) for facts, found in own)
+        named = _of_most(
+            (facts, vertical(found)) for facts, found in own if Units.of(found).vertical_m == unit_m
+        )
+    whole = crs if named is None else compound(crs, named)
 
     def differ(facts: LasFacts) -> str:
-        heights = _heights(facts)
-        if heights is None or not facts.n_points or same_heights(heights, named):
+        if facts.crs is None or not facts.n_points:
             return ""
-        text = f"its heights are {crs_name(heights)}, the survey's {crs_name(named)}"
-        return f"{text}: transform the file"
+        return heights_fault(completed(facts.crs, stated), whole, "name it in survey.crs:")
 
-    return compound(crs, named), *usable(files, differ)
+    return whole, *usable(files, differ)
 
 
 def _heights(facts: LasFacts) -> CRS | None:
@@ -133,7 +150,8 @@ def crs_findings(crs: CRS | None, files: Sequence[tuple[str, LasFacts]]) -> list
     if crs is None:
         return [Finding("I08", {"kind": "none"})] if files else []
     units, unstated = Units.of(crs), vertical(crs) is None and len(crs.axis_info) < 3
-    of_heights = [Finding("I08", {"kind": "unit", "unit": units.vertical})]
+    values = {"kind": "unit", "unit": in_words(units.vertical), "codes": NAVD88}
+    of_heights = [Finding("I08", values)]
     found = of_heights if unstated and not units.are_metres else []
     if horizontal(crs).is_engineering:
         return [*found, Finding("I08", {"kind": "local", "crs": crs_name(crs)})]

@@ -130,7 +130,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     good, bad = _inspect(paths)
     good, without_channel = _with_channel(good, workflow.survey.channel_dimension)
     crs, good, mismatched = survey_crs(workflow, good)
-    crs, good, lowered = with_heights(crs, workflow.survey.crs, good)
+    crs, good, lowered = with_heights(crs, workflow.survey, good)
     mismatched += lowered
     if not any(facts.n_points for facts in good):
         bad += [InputError(str(facts.path), NO_POINTS) for facts in good]
@@ -145,8 +145,8 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     if workflow.outputs.geoid is not None and good:
         geoid = workflow.outputs.geoid
         Geoid(geoid.grid, base / geoid.grid, crs).crs_above(geoid.crs)
-    if workflow.outputs.crs is not None and good:
-        check_reprojection(workflow.outputs.crs, crs, good)
+    if good:
+        check_reprojection(workflow.outputs, crs, good)
     _refuse_no_copc(workflow, good, base)
     untimed = _without_time(workflow, good, base)
     warnings = [*(Finding("I06", {"what": text}) for text in workflow.remarks()), *apart, *untimed]
@@ -169,7 +169,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         tuple(sorted(sources, key=lambda s: s.name)),
         (*bad, *without_channel, *mismatched),
         trajectory,
-        checked_reference(reference, workflow.reference, crs, mismatched),
+        checked_reference(reference if good else (), workflow.reference, crs, mismatched),
         crs,
         tuple(warnings),
         tuple(_checksums(workflow, base)),
@@ -213,7 +213,7 @@ def _check_shapes(
                     if key == "breaklines"
                     else check_polygons(base / name, crs)
                 )
-            apart = beside(shapes, survey)
+            apart = beside(shapes, survey, Units.of(crs))
             if apart and key == "aoi":
                 faults.append(f"{key}: {base / name}: {ASTRAY.format(**apart)}")
             elif apart:

@@ -26,6 +26,7 @@ class Blocks(NamedTuple):
     """Blocks of shots of several flightlines, by time of their first shot."""
 
     begin_s: NDArray[np.float64]  #: (m,): half a period before the first shot fired, ascending [s].
+    line: NDArray[np.int64]  #: (m,): number of the flightline.
     #: (m,): clock of the shots.
     t0_s: NDArray[np.float64]
     prf_hz: NDArray[np.float64]
@@ -104,42 +105,29 @@ def shots_near(
 
 
 @njit()
-def _miss2(
-    blocks: Blocks, b: np.int64, shot: np.int64, c: int, x: float, y: float, z: float,
-    aim: NDArray[np.float64],
-) -> float:  # fmt: skip
-    """Squared horizontal distance at which a beamlet passes a point [m2]."""
-    aim_at(blocks, b, (shot - blocks.middle[b]) / blocks.half[b], aim)
-    gx, gy = blocks.pattern[b, c, 0], blocks.pattern[b, c, 1]
-    dx = aim[0] + (aim[3] + aim[5] * gx + aim[7] * gy) * (z - aim[2]) - x
-    dy = aim[1] + (aim[4] + aim[6] * gx + aim[8] * gy) * (z - aim[2]) - y
-    return float(dx * dx + dy * dy)
-
-
-@njit()
 def match_points(
     time_s: NDArray[np.float64],
     channel: NDArray[np.uint8],
+    line: NDArray[np.uint16],
     place: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]],
     rows: NDArray[np.intp],
     cells: tuple[int, int, int, int],
     blocks: Blocks,
-    longest_s: float,
     number: NDArray[np.int64],
     top: NDArray[np.int64],
 ) -> None:
     """First return of each beamlet: the highest, for beams go down.
 
-    Of several flightlines that were flown at the same time, the one takes a point whose beamlet
-    passes nearest to it. ``place``: easting, northing, height; ``rows``: points in the grid that
-    may be first; ``cells``: its south-west corner and edge of a cell [quanta], cells of a row;
-    ``number``: row of each shot in ``top``, -1 for shots that do not matter; ``top`` (k, c), height
-    and cell of each first return so far, :data:`SILENT` without: lifted where a return is higher.
+    ``time_s, channel, line``: of each point, the last of them the number of its flightline;
+    ``place``: easting, northing, height; ``rows``: points in the grid that may be first; ``cells``:
+    its south-west corner and edge of a cell [quanta], cells of a row; ``number``: row of each shot
+    in ``top``, -1 for shots that do not matter; ``top`` (k, c), height and cell of each first
+    return so far, :data:`SILENT` without: lifted where a return is higher.
     """
     highest, channels = top.reshape(-1), top.shape[1]
-    aim = np.empty(9)
     west, south, size, cols = cells
     fires = ~np.isnan(blocks.pattern[:, :, 0])
+    longest_s = ((blocks.last - blocks.first + 1) / blocks.prf_hz).max()
     # Points lie by place and beamlets by time, each far from the last in memory: many are asked
     # for at once.
     where, words, held = np.empty(AT_ONCE, np.int64), np.empty(AT_ONCE, np.int64), 0
@@ -149,20 +137,14 @@ def match_points(
             continue
         east, north = place[0][p] - west, place[1][p] - south
         b = np.int64(first_above(blocks.begin_s, time_s[p]) - 1)
-        best, least, taken = np.int64(-1), np.inf, np.int64(-1)
+        best = np.int64(-1)
+        # Several flightlines may have been flown at the same time.
         while b >= 0 and blocks.begin_s[b] >= time_s[p] - longest_s:
             shot = np.int64(np.rint((time_s[p] - blocks.t0_s[b]) * blocks.prf_hz[b]))
-            if blocks.first[b] <= shot <= blocks.last[b] and fires[b, c]:
-                miss = 0.0
-                if taken >= 0:
-                    x, y, z = east * QUANTUM_M, north * QUANTUM_M, place[2][p] * QUANTUM_M
-                    miss = _miss2(blocks, b, shot, c, x, y, z, aim)
-                    if least == 0.0:
-                        other = np.rint((time_s[p] - blocks.t0_s[taken]) * blocks.prf_hz[taken])
-                        least = _miss2(blocks, taken, np.int64(other), c, x, y, z, aim)
-                if taken < 0 or miss < least:
-                    taken, least = b, miss
-                    best = number[blocks.offset[b] + shot - blocks.first[b]]
+            within = blocks.line[b] == line[p] and blocks.first[b] <= shot <= blocks.last[b]
+            if within and fires[b, c]:
+                best = number[blocks.offset[b] + shot - blocks.first[b]]
+                break
             b -= 1
         if best >= 0:
             # No quotient of whole numbers so small rounds up to the next whole one.
@@ -197,6 +179,9 @@ STEP_CELLS = 0.5
 
 MAX_STEPS = 400
 """Longest walk of a ray [count]."""
+
+FIXED_POINT = 2.0**32
+"""Steps of a sum per photo-electron and reflectance."""
 
 COSINE_MIN = 0.2
 """Incidence is not corrected for beyond this [1]."""
@@ -296,7 +281,6 @@ def expose_cells(
     core: tuple[int, int, int, int],
     level: float,
     extinction: float,
-    fixed: float,
     silent: NDArray[np.int64],
     fired: NDArray[np.int64],
     seen_cell: NDArray[np.int64],
@@ -306,10 +290,9 @@ def expose_cells(
 
     ``shots``: block of each, and its time within that; ``top``: from :func:`match_points`;
     ``core``: first and past-the-last row, first and past-the-last column of the cells wanted, which
-    the outputs have; ``level``: a height near the surface [m]; ``fixed``: steps of ``silent`` per
-    photo-electron and reflectance. Added to: ``silent``, sum over silent beamlets, and ``fired``,
-    beamlets of each cell. Filled: cell and photo-electrons per reflectance of each seen beamlet,
-    whose number is returned.
+    the outputs have; ``level``: a height near the surface [m]. Added to: ``silent``, sum over
+    silent beamlets in steps of :data:`FIXED_POINT`, and ``fired``, beamlets of each cell. Filled:
+    cell and photo-electrons per reflectance of each seen beamlet, whose number is returned.
     """
     aim, ends = np.empty(9), np.empty(top.shape[1], np.int64)
     r0, r1, c0, c1 = core
@@ -344,5 +327,5 @@ def expose_cells(
                 seen_amount[count] = amount
                 count += 1
             else:
-                silent[row - r0, col - c0] += np.int64(np.rint(amount * fixed))
+                silent[row - r0, col - c0] += np.int64(np.rint(amount * FIXED_POINT))
     return count

@@ -19,11 +19,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.beams.link_budget import signal_constant
+from spl_batch.airborne.beams.link_budget import link_constant
 from spl_batch.airborne.beams.rays import meet_planes
 from spl_batch.airborne.noise.line_model import LineModel
 from spl_batch.airborne.products.reflectance.shot_pattern import (
     TERMS,
+    Rows,
     learn_pattern,
     misfit,
     motion,
@@ -47,9 +48,6 @@ LEARNING_ROUNDS: Final = 4
 _RIDGE: Final = 1e-7
 """Weight of "zero" for coefficients that a block's few shots do not determine."""
 
-Rows = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.uint8], NDArray[np.float64]]
-"""Returns of blocks, as :func:`normal_equations` takes them: start, tau, channel, place."""
-
 BLOCK: Final = np.dtype(
     [
         ("first", np.int64),
@@ -67,7 +65,7 @@ on the reference plane that the fit is relative to, and its height [m]; where be
 plane, see :mod:`~spl_batch.airborne.products.reflectance.shot_pattern` [m]; sensor relative to the
 anchor at the middle, and its motion per unit of time [m]; which pattern it has."""
 
-_NUMBERS: Final = ("constant_m2", "t0_s", "prf_hz", "dropped")
+_NUMBERS: Final = ("constant_m2", "t0_s", "prf_hz", "dropped", "line")
 """What a part has once."""
 
 
@@ -84,6 +82,7 @@ class FiredPart:
     t0_s: float
     prf_hz: float
     dropped: int  #: Blocks with returns that no fit describes.
+    line: int  #: Number of the flightline.
 
     @property
     def pattern(self) -> NDArray[np.float64]:
@@ -107,8 +106,8 @@ class FiredPart:
     def from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> "FiredPart":
         """Part that :meth:`to_arrays` gave."""
         numbers = dict(zip(_NUMBERS, arrays["numbers"].tolist(), strict=True))
-        numbers["dropped"] = int(numbers["dropped"])
-        return cls(arrays["blocks"], arrays["patterns"], arrays["gain"], **numbers)
+        whole = {name: int(numbers.pop(name)) for name in ("dropped", "line")}
+        return cls(arrays["blocks"], arrays["patterns"], arrays["gain"], **numbers, **whole)
 
     def reach(self) -> list[int]:
         """Rectangle that the beamlets can meet near their reference planes [m]."""
@@ -122,7 +121,12 @@ class FiredPart:
 
 
 def aim(
-    table: PointTable, beams: BeamTable, model: LineModel, sensor: Sensor, clock: ShotClock
+    table: PointTable,
+    beams: BeamTable,
+    model: LineModel,
+    sensor: Sensor,
+    clock: ShotClock,
+    line: int,
 ) -> FiredPart:
     """Beamlets fired during a stretch.
 
@@ -136,6 +140,8 @@ def aim(
         Which shots were fired, and the gain of each channel.
     sensor : Sensor
         Array and link budget [W17 Eq. 2.1].
+    line : int
+        Number of the flightline.
     """
     table = table.select(COLUMNS_NEEDED)
     origin, direction = beams.origin_m, beams.direction
@@ -168,18 +174,8 @@ def aim(
         blocks[name] = values
     return FiredPart(
         blocks[good], np.concatenate([grid[None], learnt]), _sensitivity(model, channels),
-        link_constant(sensor), clock.t0_s, clock.prf_hz, int(np.count_nonzero(~good)),
+        link_constant(sensor), clock.t0_s, clock.prf_hz, int(np.count_nonzero(~good)), line,
     )  # fmt: skip
-
-
-def link_constant(sensor: Sensor) -> float:
-    """Photo-electrons of a beamlet per reflectance, times square of range [m2; W17 Eq. 2.1]."""
-    return signal_constant(
-        sensor.hologram_efficiency * sensor.quantum_efficiency * sensor.receiver_efficiency,
-        sensor.pulse_energy_uj * 1e-6 / sensor.beamlets,
-        sensor.wavelength_nm,
-        sensor.aperture_m,
-    )
 
 
 def _blocks(
@@ -214,40 +210,35 @@ def _grid(sensor: Sensor, channels: int) -> NDArray[np.float64]:
 
 
 def _fit(
-    data: Rows,
-    pattern: NDArray[np.float64],
+    data: Rows, pattern: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Coefficients of each block, and the root mean square distance from them [m]."""
     m = len(data[0]) - 1
     matrix, right = np.empty((m, TERMS, TERMS)), np.empty((m, TERMS, 2))
-    normal_equations(*data, pattern, matrix, right)
+    normal_equations(data, pattern, matrix, right)
     diagonal = np.arange(TERMS)
     matrix[:, diagonal, diagonal] += _RIDGE * np.maximum(np.diff(data[0]), 1)[:, None]
     coefficient: NDArray[np.float64] = np.linalg.solve(matrix, right).astype(np.float64)
     rms = np.empty(m)
-    misfit(*data, pattern, coefficient, rms)
+    misfit(data, pattern, coefficient, rms)
     return coefficient, rms
 
 
 def _learn(
-    data: Rows,
-    channels: int,
+    data: Rows, channels: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Array, coefficients and misfit of blocks whose channels are numbered otherwise."""
     pattern = np.zeros((len(data[0]) - 1, channels, 2))
     coefficient, rms = _fit(data, pattern)
     for _ in range(LEARNING_ROUNDS):
-        learn_pattern(*data, coefficient, pattern)
+        learn_pattern(data, coefficient, pattern)
         scale = np.nanmax(np.abs(pattern), axis=(1, 2), initial=0.0, keepdims=True)
         pattern /= np.where(scale > 0, scale, 1.0)
         coefficient, rms = _fit(data, pattern)
     return pattern, coefficient, rms
 
 
-def _only(
-    data: Rows,
-    blocks: NDArray[np.intp],
-) -> Rows:
+def _only(data: Rows, blocks: NDArray[np.intp]) -> Rows:
     """Rows of some blocks."""
     start, tau, channel, place = data
     rows = np.concatenate([np.arange(start[b], start[b + 1]) for b in blocks])

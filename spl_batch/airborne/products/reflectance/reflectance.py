@@ -39,11 +39,19 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
-from spl_batch.airborne.products.cell_values import fill_voids, ring_offsets, sort_into_cells
+from spl_batch.airborne.products.cell_values import (
+    fill_voids,
+    north_up,
+    ring_offsets,
+    shape_of,
+    sort_into_cells,
+)
 from spl_batch.airborne.products.reflectance.beamlet_matching import (
     CELL_BITS,
     COARSE,
+    FIXED_POINT,
     SILENT,
     Blocks,
     Grid,
@@ -59,13 +67,10 @@ from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
 from spl_batch.numerics.compiled import njit
 
-COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "noise_class")
+COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "line", "noise_class")
 
 FIRED_MIN: Final = 5
 """Cells that fewer beamlets were fired at hold nothing [count]."""
-
-FIXED_POINT: Final = 2.0**32
-"""Steps of a sum per photo-electron and reflectance."""
 
 ALIKE_CELLS: Final = 2.0
 """Neighbouring cells no farther apart in height than this are of one surface [cells]."""
@@ -94,18 +99,17 @@ def raster(
     size = quanta(settings.cell_m)
     margin = _margin_cells(settings)
     wide = grow(cell, margin * size)
-    shape = (cell.ymax - cell.ymin) // size, (cell.xmax - cell.xmin) // size
+    shape, cells = shape_of(cell, size), shape_of(wide, size)
     fired, silent = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
     parts = [p for p in parts if len(p.blocks)]
-    signal = _signal(table, wide)
+    signal = table["noise_class"] == NOISE_SIGNAL
+    signal = np.flatnonzero(signal & inside(table["x"], table["y"], wide))
     z = table["z"][signal]
     if not len(z) or not parts:
         return np.full(shape, NODATA, np.float32)
     blocks = _join(parts, wide)
-    level, depth = (
-        float(np.median(z)) * QUANTUM_M,
-        float((z.max() * QUANTUM_M) - (z.min() * QUANTUM_M)),
-    )
+    level = float(np.median(z)) * QUANTUM_M
+    depth = float((z.max() * QUANTUM_M) - (z.min() * QUANTUM_M))
     shots = int(blocks.offset[-1] + blocks.last[-1] - blocks.first[-1] + 1)
     number, block = np.empty(shots, np.int64), np.empty(shots, np.int64)
     tau = np.empty(shots)
@@ -113,11 +117,9 @@ def raster(
     near = shots_near(blocks, level, depth, tuple(edges.tolist()), number, block, tau)
     del z
     top = np.full((near, blocks.pattern.shape[1]), SILENT)
-    longest = float(np.max((blocks.last - blocks.first + 1) / blocks.prf_hz))
-    cells = shape[0] + 2 * margin, shape[1] + 2 * margin
     match_points(
-        table["gps_time"], table["channel"], (table["x"], table["y"], table["z"]),
-        signal, (wide.xmin, wide.ymin, size, cells[1]), blocks, longest, number, top,
+        table["gps_time"], table["channel"], table["line"], (table["x"], table["y"], table["z"]),
+        signal, (wide.xmin, wide.ymin, size, cells[1]), blocks, number, top,
     )  # fmt: skip
     first = top[top != SILENT]
     height = (first >> 32).astype(np.int32)
@@ -128,19 +130,11 @@ def raster(
     inner = (margin, margin + shape[0], margin, margin + shape[1])
     count = expose_cells(
         (block[:near], tau[:near]), blocks, top, grid, inner,
-        level, settings.extinction_per_m, FIXED_POINT, silent,
+        level, settings.extinction_per_m, silent,
         fired, seen_cell, amount,
     )  # fmt: skip
     del top, blocks, number, block, tau
-    values = _estimate(seen_cell[:count], amount[:count], silent, fired)[::-1]
-    return np.ascontiguousarray(np.where(np.isnan(values), NODATA, values), dtype=np.float32)
-
-
-def _signal(table: PointTable, region: Bounds) -> NDArray[np.intp]:
-    """Rows of a table that are signal of a region."""
-    return np.flatnonzero(
-        (table["noise_class"] == NOISE_SIGNAL) & inside(table["x"], table["y"], region)
-    )
+    return north_up(_estimate(seen_cell[:count], amount[:count], silent, fired))
 
 
 def _estimate(
@@ -177,7 +171,9 @@ def _join(parts: Sequence[FiredPart], wide: Bounds) -> Blocks:
     """Blocks of several stretches by time, relative to a corner."""
     size = [len(p.blocks) for p in parts]
     channels = max(p.patterns.shape[1] for p in parts)
-    t0_s, prf_hz = (np.repeat([getattr(p, k) for p in parts], size) for k in ("t0_s", "prf_hz"))
+    t0_s, prf_hz, line = (
+        np.repeat([getattr(p, k) for p in parts], size) for k in ("t0_s", "prf_hz", "line")
+    )
     blocks = np.concatenate([p.blocks for p in parts])
     blocks["anchor"] -= np.array([wide.xmin * QUANTUM_M, wide.ymin * QUANTUM_M, 0.0])
     begin_s = t0_s + (blocks["first"] - 0.5) / prf_hz
@@ -186,13 +182,13 @@ def _join(parts: Sequence[FiredPart], wide: Bounds) -> Blocks:
         [np.repeat(_widen(p.gain[None] * p.constant_m2, channels, 0.0), len(p.blocks), 0)
          for p in parts]
     )  # fmt: skip
-    anchor = blocks["anchor"]
-    order = np.lexsort((anchor[:, 1], anchor[:, 0], blocks["first"], begin_s))
+    order = np.lexsort((line, begin_s))
     blocks = blocks[order]
     shots = blocks["last"] - blocks["first"] + 1
     fitted = "first", "last", "middle", "half", "anchor", "coefficient", "origin"
     return Blocks(
         begin_s=begin_s[order],
+        line=line[order],
         t0_s=t0_s[order],
         prf_hz=prf_hz[order],
         **{name: np.ascontiguousarray(blocks[name]) for name in fitted},
@@ -269,7 +265,7 @@ def first_surface(
     median[used] = z[order[start[used] + (count[used] - 1) // 2]] * QUANTUM_M
     credible = credible_heights(median.reshape(shape), count.reshape(shape), settings.cell_m)
     height = fill_voids(credible, settings.dsm_void_max_m / settings.cell_m)
-    low, high = (bounds(height, keep) for keep in (np.fmin, np.fmax))
+    low, high = bounds(height), -bounds(-height)
     return Grid(settings.cell_m, height, slopes(height, settings.cell_m), low, high)
 
 
@@ -324,17 +320,10 @@ def slopes(height: NDArray[np.float64], cell_m: float) -> NDArray[np.float64]:
     return out
 
 
-def bounds(height: NDArray[np.float64], keep: np.ufunc) -> NDArray[np.float64]:
-    """Lowest or highest of the cells in and around each coarse square."""
-    rows, cols = height.shape
-    padded = np.pad(height, ((0, -rows % COARSE), (0, -cols % COARSE)), constant_values=np.nan)
-    coarse = padded.reshape(padded.shape[0] // COARSE, COARSE, -1, COARSE)
-    square: NDArray[np.float64] = keep.reduce(keep.reduce(coarse, axis=3), axis=1)
-    for axis in (0, 1):
-        edge = [(0, 0), (0, 0)]
-        edge[axis] = (1, 1)
-        around = np.pad(square, edge, constant_values=np.nan)
-        n = square.shape[axis]
-        taken = [np.take(around, np.arange(k, k + n), axis=axis) for k in range(3)]
-        square = keep(keep(taken[0], taken[1]), taken[2])
-    return square
+def bounds(height: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lowest of the cells in and around each coarse square; NaN without any."""
+    edges = [(0, -side % COARSE) for side in height.shape]
+    filled = np.pad(np.where(np.isnan(height), np.inf, height), edges, constant_values=np.inf)
+    squares = filled.reshape(-1, COARSE, filled.shape[1] // COARSE, COARSE).min(axis=(1, 3))
+    lowest = ndimage.minimum_filter(squares, 3, mode="constant", cval=np.inf)
+    return np.where(np.isinf(lowest), np.nan, lowest)

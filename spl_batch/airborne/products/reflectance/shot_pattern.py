@@ -21,6 +21,11 @@ _TOGETHER = 32
 """Returns whose terms are reckoned before they are added up [count]."""
 
 
+Rows = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.uint8], NDArray[np.float64]]
+"""Returns of blocks, those of one from its ``start`` on: (m + 1,); time within the block, channel,
+and where the reference plane is met, from the block's anchor on [m]: (n,), (n,), (n, 2)."""
+
+
 @njit()
 def basis(tau: float, gx: float, gy: float, out: NDArray[np.float64]) -> None:
     """Value of each term into ``out`` (TERMS,); ``tau``: time within the block, -1 to 1."""
@@ -36,20 +41,17 @@ def basis(tau: float, gx: float, gy: float, out: NDArray[np.float64]) -> None:
 
 @njit()
 def normal_equations(
-    start: NDArray[np.int64],
-    tau: NDArray[np.float64],
-    channel: NDArray[np.uint8],
-    place: NDArray[np.float64],
+    rows: Rows,
     pattern: NDArray[np.float64],
     matrix: NDArray[np.float64],
     right: NDArray[np.float64],
 ) -> None:
     """Sums that the coefficients of each block follow from, into ``matrix`` and ``right``.
 
-    Of the rows from ``start[b]`` on: ``tau``, time within the block; ``channel``; ``place`` (n, 2),
-    where the reference plane is met, from the block's anchor on [m]. ``pattern`` (m, c, 2): place
-    of each channel in the array; rows of a channel without one (NaN) are left out.
+    ``pattern`` (m, c, 2): place of each channel in the array; rows of a channel without one (NaN)
+    are left out.
     """
+    start, tau, channel, place = rows
     term, right_of, zero = np.empty((_TOGETHER, TERMS)), np.empty((_TOGETHER, 2)), np.uint64(0)
     for b in range(len(start) - 1):
         # A register for each row of the matrix: what stands in arrays is stored after each return.
@@ -83,33 +85,14 @@ def normal_equations(
 
 
 @njit()
-def predict(
-    coefficient: NDArray[np.float64],
-    tau: float,
-    gx: float,
-    gy: float,
-    term: NDArray[np.float64],
-) -> tuple[float, float]:
-    """Where a beamlet meets the reference plane, from the block's anchor [m]; ``term``: room."""
-    basis(tau, gx, gy, term)
-    x = y = 0.0
-    for i in range(TERMS):
-        x += coefficient[i, 0] * term[i]
-        y += coefficient[i, 1] * term[i]
-    return x, y
-
-
-@njit()
 def misfit(
-    start: NDArray[np.int64],
-    tau: NDArray[np.float64],
-    channel: NDArray[np.uint8],
-    place: NDArray[np.float64],
+    rows: Rows,
     pattern: NDArray[np.float64],
     coefficient: NDArray[np.float64],
     rms: NDArray[np.float64],
 ) -> None:
     """Root mean square distance of the rows of each block from its fit [m]; NaN without rows."""
+    start, tau, channel, place = rows
     term = np.empty(TERMS)
     for b in range(len(start) - 1):
         total, count = 0.0, 0
@@ -117,25 +100,25 @@ def misfit(
             gx, gy = pattern[b, channel[row], 0], pattern[b, channel[row], 1]
             if np.isnan(gx):
                 continue
-            x, y = predict(coefficient[b], tau[row], gx, gy, term)
-            total += (place[row, 0] - x) ** 2 + (place[row, 1] - y) ** 2
+            basis(tau[row], gx, gy, term)
+            for axis in range(2):
+                at = 0.0
+                for i in range(TERMS):
+                    at += coefficient[b, i, axis] * term[i]
+                total += (place[row, axis] - at) ** 2
             count += 1
         rms[b] = np.sqrt(total / count) if count else np.nan
 
 
 @njit()
 def learn_pattern(
-    start: NDArray[np.int64],
-    tau: NDArray[np.float64],
-    channel: NDArray[np.uint8],
-    place: NDArray[np.float64],
-    coefficient: NDArray[np.float64],
-    pattern: NDArray[np.float64],
+    rows: Rows, coefficient: NDArray[np.float64], pattern: NDArray[np.float64]
 ) -> None:
     """Mean place of each channel in the array, NaN without rows, given how the array turns.
 
     ``coefficient`` of a block whose array is a point: it takes the ground's own axes.
     """
+    start, tau, channel, place = rows
     channels = pattern.shape[1]
     count = np.empty(channels)
     for b in range(len(start) - 1):

@@ -7,7 +7,6 @@ key is an error that names the nearest known one.
 import math
 from collections.abc import Mapping
 from functools import cached_property
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -18,16 +17,12 @@ from pyproj.exceptions import CRSError
 
 from spl_batch.airborne.sensors.sensor import Sensor, load_preset
 from spl_batch.engine.settings.base import Positive, Section
-from spl_batch.engine.settings.validation import validated
+from spl_batch.engine.settings.workflow_file import validated
 from spl_batch.engine.verbs.simulation import scene_of
-from spl_batch.errors import WorkflowError
 
 NotNegative = Annotated[float, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Place = tuple[float, float]
-
-
-PRESETS: Final = resources.files("spl_batch.airborne") / "simulate" / "presets"
 
 MOST_TILES: Final = 400
 """Files of a delivery by tile, all of which are open while it is simulated [count]."""
@@ -378,21 +373,6 @@ def load_scene(path: Path) -> Scene:
     return scene_of(Scene, path)
 
 
-def preset_scenes() -> list[str]:
-    """Names of the scenes that ship with the project, sorted."""
-    return sorted(p.name.removesuffix(".yaml") for p in PRESETS.iterdir())
-
-
 def preset_scene(name: str) -> Scene:
-    """Scene by preset name, one of :func:`preset_scenes`.
-
-    Raises
-    ------
-    WorkflowError
-        If there is no such preset.
-    """
-    known = preset_scenes()
-    if name not in known:
-        raise WorkflowError(f"no scene {name!r}; known are {', '.join(known)}")
-    with resources.as_file(PRESETS / f"{name}.yaml") as path:
-        return load_scene(path)
+    """Scene that ships with the project: ``quickstart`` or ``tiny``."""
+    return load_scene(Path(__file__).parents[1] / "presets" / f"{name}.yaml")

@@ -133,7 +133,6 @@ def summarise(done: Receipts, context: CoincidenceContext, facts: RunFacts) -> C
         for name, draw in (("height", _height), ("intensity", _intensity)):
             shown[name] = draw(_map(tiles, context, name))
     write_both(context.output, report, render(report, shown))
-    run_record.remember(done, context, facts)
     return report
 
 

@@ -176,7 +176,6 @@ def summarise(done: Receipts, context: WaterContext, facts: RunFacts) -> WaterRe
     if pixels.any():
         pictures["pixels"] = _pixels(pixel_maps(pixels))
     write_both(context.output, report, render(report, pictures))
-    run_record.remember(done, context, facts)
     return report
 
 
