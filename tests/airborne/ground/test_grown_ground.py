@@ -1,5 +1,6 @@
 """Ground that goes on where an opening has cut it off: rims, decks and roofs; slow twins."""
 
+from collections import Counter
 from collections.abc import Callable
 
 import numpy as np
@@ -9,11 +10,14 @@ from numpy.typing import NDArray
 from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
 from spl_batch.airborne.ground.ground_trend import fit_trend, trend_at
 from spl_batch.airborne.ground.multiscale.grown_ground import (
+    APART_M,
+    APART_SLOPE,
     ASIDE_M,
     CLIFF_M,
     CONTOUR_M,
     EAVE_M,
     EDGE_M,
+    ISLAND,
     NEAR_M,
     ROUGH_M,
     ROUNDS,
@@ -66,6 +70,16 @@ def test_nodes_that_ground_goes_on_to_are_those_of_a_slow_twin(
     found = grown(xyz, grid, nearest_node(grid), ground, 1.0)
     assert np.array_equal(found, _grown(xyz, grid, ground))
     assert found.sum() > ground.sum() + more
+
+
+def test_nothing_grows_from_a_few_nodes_on_a_roof() -> None:
+    xyz, grid, _ = terraces(3)
+    upper = xyz[:, 2] > 3
+    few = np.flatnonzero(upper & (np.abs(xyz[:, 1] - 10) < 2))
+    assert 6 < len(few) < ISLAND
+    ground = ~upper
+    ground[few] = True
+    assert not grown(xyz, grid, nearest_node(grid), ground, 1.0)[upper].sum() > len(few)
 
 
 @pytest.mark.parametrize("stretched", [1.0, 2.5])
@@ -207,9 +221,20 @@ def _grown(xyz: Float, grid: NDArray[np.int64], ground: Mask) -> Mask:
         i: nodes[np.argsort(np.hypot(*(xyz[nodes, :2] - xyz[i, :2]).T), kind="stable")[1:21]]
         for i in nodes
     }
-    level = {i for i in nodes if ground[i]}
-    steep = {i for i in level if free[i]}
-    out, fresh = set(level), set(level)
+    part, graph = {i: i for i in nodes}, [i for i in nodes if ground[i]]
+
+    def root(i: int) -> int:
+        return i if part[i] == i else root(part[i])
+
+    for i in graph:
+        for j in order[i][:8]:
+            apart = np.hypot(*(xyz[i, :2] - xyz[j, :2]))
+            if ground[j] and abs(xyz[i, 2] - xyz[j, 2]) <= max(APART_M, APART_SLOPE * apart):
+                part[root(i)] = root(j)
+    size = Counter(root(i) for i in graph)
+    level = {i for i in graph if size[root(i)] >= ISLAND}
+    steep = {i for i in graph if free[i]}
+    out, fresh = set(graph), set(graph)
     for _ in range(ROUNDS):
         asked = [i for i in nodes if i not in out and fresh & set(order[i][:8].tolist())]
         up = {i for i in asked if free[i] and _goes_on(xyz, order[i], steep, i, STEEP, np.inf)}

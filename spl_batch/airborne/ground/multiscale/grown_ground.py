@@ -8,7 +8,7 @@ other out. Where there is ground on the opposite side, its plane has to go on to
 lower by a wall: a shrub on a slope is above both. No source has this: [Axelsson 2000] mirrors
 points at the nearest one of the ground.
 
-Four things look alike and are kept out:
+Five things look alike and are kept out:
 
 - a deck continues the road, but between two walls (:func:`edges`): no level ground grows there.
 - where no wall is within the window, the opening has cut off plants and cars: nothing level grows.
@@ -16,6 +16,8 @@ Four things look alike and are kept out:
 - a roof on a hillside is steep as well, and the opening leaves its uphill eave. But a roof ends: on
   the contour line through it the surface falls by a step on both sides, as it does not from a
   crest, a cliff or a terrace, which follow the contour (:func:`barred`).
+- what an opening leaves of a roof would grow over all of it: nothing level grows from an island, a
+  few nodes that hang together without a step.
 """
 
 from typing import Final
@@ -23,6 +25,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
 from spl_batch.airborne.ground.ground_trend import Trend, fit_trend, trend_at
@@ -42,6 +46,14 @@ STEEP: Final = 0.5
 UNEVEN: Final = 0.2
 """Rise of a plane from which on ground grows where no wall is, too, and how much farther off it a
 node may lie, and those of the plane may scatter, for each unit of that [rise/run, m]."""
+
+APART_M: Final = 0.3
+APART_SLOPE: Final = 0.5
+"""Nodes whose heights differ by more than this, and this slope, do not hang together [m,
+rise/run]."""
+
+ISLAND: Final = 50
+"""Fewer nodes that hang together are an island [count]."""
 
 TILT: Final = 0.2
 ASIDE_M: Final = 20.0
@@ -97,17 +109,42 @@ def grown(xyz: Float, grid: Index, nearest: Index, ground: Mask, cell_m: float) 
     other[full] = ~known
     beside_wall = edges(xyz[nearest, 2], other, cell_m)[full]
     found = known.copy()
-    _grow(nodes, around, beside_wall, ~bar, found)
+    _grow(nodes, around, beside_wall, ~bar, on_land(nodes, around, known), found)
     out = ground.copy()
     out[index[found]] = True
     return out
 
 
+def on_land(nodes: Float, around: Index, ground: Mask) -> Mask:
+    """Ground nodes that hang together with many others, without a step: (n,) bool.
+
+    Parameters
+    ----------
+    nodes : (n, 3) float64
+        Nodes [m].
+    around : (n, k) int64
+        Those nearest to each, itself first.
+    ground : (n,) bool
+        Those of the ground.
+    """
+    beside = around[:, 1 : BESIDE + 1]
+    east, north, up = np.moveaxis(nodes[beside] - nodes[:, np.newaxis], 2, 0)
+    together = np.abs(up) <= np.maximum(APART_M, APART_SLOPE * np.hypot(east, north))
+    together &= ground[beside] & ground[:, np.newaxis]
+    ends = np.nonzero(together)[0], beside[together]
+    graph = coo_array((np.ones(len(ends[0]), np.bool_), ends), shape=(len(nodes),) * 2)
+    label = connected_components(graph, directed=False)[1]
+    land: Mask = ground & (np.bincount(label)[label] >= ISLAND)
+    return land
+
+
 @njit()
-def _grow(nodes: Float, around: Index, beside_wall: Mask, free: Mask, ground: Mask) -> None:
-    """Let ground grow round by round: level beside walls, steep from cells that are not barred."""
+def _grow(
+    nodes: Float, around: Index, beside_wall: Mask, free: Mask, land: Mask, ground: Mask
+) -> None:
+    """Let ground grow round by round: level beside walls from land, steep from cells not barred."""
     fresh = ground.copy()
-    steep, level = (ground & free).astype(np.float64), ground.astype(np.float64)
+    steep, level = (ground & free).astype(np.float64), land.astype(np.float64)
     for _ in range(ROUNDS):
         there, here = np.zeros(len(nodes), np.bool_), np.zeros(len(nodes), np.bool_)
         for i in range(len(nodes)):
