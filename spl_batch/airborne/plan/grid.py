@@ -233,7 +233,8 @@ def _work(piece: Piece, grid: Grid, margin: int) -> tuple[NDArray[np.float64], f
             at = first[1 - axis] + np.arange(own.shape[axis])
             keeper, starts = np.unique(np.clip(at, low, high), return_index=True)
             own = np.add.reduceat(own, starts, axis)
-            read = read.take(keeper - first[1 - axis], axis)
+            # A strip that is a piece by itself is read whole; its keeper lies beside the piece.
+            read = read.take(keeper - first[1 - axis], axis, mode="clip")
     return np.where(own > 0.0, own + MARGIN_COST * (read - own), 0.0), each, most
 
 

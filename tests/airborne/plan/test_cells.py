@@ -14,7 +14,7 @@ from spl_batch.airborne.plan.task_memory import halo_m, task_bytes
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.plan.worker_memory import usable_bytes
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.lattice.density import from_counts
+from spl_batch.lattice.density import Box, from_boxes, from_counts
 from spl_batch.lattice.tiles import (
     Bounds,
     CellId,
@@ -116,6 +116,19 @@ def test_every_worker_has_cells_and_a_given_side_is_taken() -> None:
     sides = [chosen(counts, workflow(), 2**40, w).edge // 100_000 for w in (0, 1, 2, 4, 16, 99)]
     assert sides == [8, 8, 4, 4, 2, 1]
     assert chosen(counts, workflow(block_tiles=5), 2**30, 99).edge == 500_000
+
+
+@pytest.mark.parametrize("far_m", [(2e4, 0.0), (0.0, 2e4), (2e4, 3e4)])
+def test_small_files_far_apart(far_m: tuple[float, float]) -> None:
+    boxes = [
+        Bounds(x + 70_000, y + 70_000, x + 80_000, y + 80_000)
+        for x, y in ((0, 0), map(quanta, far_m))
+    ]
+    asked = workflow()
+    pieces = list(from_boxes((Box(box, 300.0) for box in boxes), quanta(asked.tiling.tile_m)))
+    assert len(pieces) == 2
+    found = denoise_grid(pieces, boxes, asked, 2**30, 2)
+    assert (found.cells, found.work) == (2, pytest.approx(600.0))
 
 
 @settings(max_examples=25, deadline=None)
