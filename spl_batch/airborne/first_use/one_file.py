@@ -23,6 +23,8 @@ from spl_batch.airborne.first_use.clouds import (
 )
 from spl_batch.airborne.plan.inputs.survey_inputs import NO_POINTS
 from spl_batch.airborne.sensors.sensor import load_preset
+from spl_batch.airborne.settings import OutputSettings
+from spl_batch.airborne.settings.workflow import Workflow, load_workflow
 from spl_batch.engine.plan.input_files import matching
 from spl_batch.engine.report.number_format import as_ascii, of_all
 from spl_batch.engine.settings.mistaken_file import refuse_urls
@@ -38,6 +40,12 @@ WORK: Final = ".work"
 
 KEEP_ALL: Final = "filter.method=none"
 """Override by which every point stays, as in linear-mode lidar."""
+
+_IN_OTHER_FILES: Final = (
+    *("crs", "units", "cell", "copc", "tiles", "client_tiles", "contour_interval", "geoid"),
+    "catalogue",
+)
+"""Settings of ``outputs`` whose results are files that only a run leaves."""
 
 _WORKFLOW: Final = "workflow.yaml"
 _MOVED: Final = "moved.json"
@@ -116,6 +124,7 @@ def denoise(
             raise WorkflowError(f"{place}: there is no folder {place.parent}; check the path")
     with _leaving_nothing(folder):
         write_bytes(folder / _WORKFLOW, yaml.safe_dump(content, sort_keys=False).encode())
+        _refuse_other_files(load_workflow(folder / _WORKFLOW, overrides))
         for text in (*(f"creates folder {place}" for place in new), *guessed):
             listener(Note("info", text))
         found = run(
@@ -184,6 +193,20 @@ def _refuse(
         mine = path.exists() and own.get(str(real_path(path))) == _stamp(path)
         if path.exists() and not force and not mine:
             raise WorkflowError(f"{path} is there already; name another file, or add --force")
+
+
+def _refuse_other_files(workflow: Workflow) -> None:
+    """Refuse settings that ask for files beside the cloud and the terrain."""
+    asked = [f"outputs.{key}" for key in _IN_OTHER_FILES if _is_asked(workflow.outputs, key)]
+    if asked:
+        raise WorkflowError(
+            f"{', '.join(asked)}: denoise writes one cloud and the terrain alone; `spl-batch init` "
+            "writes a workflow, and `spl-batch run` makes these files"
+        )
+
+
+def _is_asked(outputs: OutputSettings, key: str) -> bool:
+    return getattr(outputs, key) not in {None, False, "none"}
 
 
 def _moved(folder: Path) -> Mapping[str, list[int]]:
@@ -291,11 +314,13 @@ def _counts(delivered: Receipt, *, ground: bool) -> Iterator[tuple[str, str]]:
     counts = [(name, kinds.get(kind, 0)) for kind, name in names.items()]
     if ground:
         counts.append(("ground", delivered.facts["assessed"].get("2", 0)))
-    whole = grouped(delivered.points)
-    yield "points", f"{whole} in, {whole} out"
+    dropped = sum(delivered.facts.get("dropped", {}).values())
+    whole = delivered.points + dropped
+    left_out = f", {grouped(dropped)} dropped" if dropped else ""
+    yield "points", f"{grouped(whole)} in, {grouped(delivered.points)} out{left_out}"
     for name, n in counts:
         if n or name != "not assessed":
-            yield name, f"{grouped(n)} ({as_ascii(of_all(n, delivered.points))})"
+            yield name, f"{grouped(n)} ({as_ascii(of_all(n, whole))})"
 
 
 def _found(results: Sequence[Path]) -> tuple[tuple[str, list[Path]], ...]:

@@ -13,7 +13,7 @@ from spl_batch.airborne.first_use import one_file
 from spl_batch.airborne.first_use.clouds import linear_mode_signs, look_at
 from spl_batch.airborne.first_use.commented import begin
 from spl_batch.airborne.first_use.one_file import KEEP_ALL
-from spl_batch.errors import StoppedError
+from spl_batch.errors import StoppedError, grouped
 from tests import surveys
 
 KNOWN = [
@@ -95,6 +95,31 @@ def test_nothing_is_replaced_unless_told(line: Path, tmp_path: Path) -> None:
     assert there.read_bytes() == b"somebody's"
     assert {p.name for p in tmp_path.iterdir()} == {"there.laz", "work.laz.work", "words.csv"}
     assert not Path("s3:").exists()
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        *("units=m", "crs=EPSG:6344", "cell=3", "copc=true", "contour_interval=1", "tiles=laz"),
+        *("client_tiles={polygons: a.gpkg}", "geoid={grid: egm.tif}", "catalogue=true"),
+    ],
+)
+def test_files_that_only_a_run_leaves_are_refused(
+    line: Path, tmp_path: Path, override: str
+) -> None:
+    ended = denoise(line, tmp_path / "out.laz", "--set", f"outputs.{override}")
+    assert ended.status == 2
+    assert f"outputs.{override.partition('=')[0]}: denoise writes one cloud" in ended.text
+    assert "spl-batch run" in ended.text
+    assert not [*tmp_path.iterdir()]
+
+
+def test_dropped_points_are_counted(line: Path, tmp_path: Path) -> None:
+    ended = denoise(line, tmp_path / "out.laz", "--set", "outputs.drop=[noise]")
+    given, kept = (len(surveys.laspy.read(path)) for path in (line, tmp_path / "out.laz"))
+    assert kept < given
+    said = f"points {grouped(given)} in, {grouped(kept)} out, {grouped(given - kept)} dropped"
+    assert said in " ".join(ended.out.split()), ended.out
 
 
 def test_a_file_without_times_is_told_what_helps(tmp_path: Path) -> None:
