@@ -98,6 +98,8 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             {
                 "none": "no input file carries a CRS and survey.crs is not set",
                 "local": "the CRS that files name, {crs}, does not say where on earth it is",
+                "others": "no CRS in the file; its coordinates are taken as {crs}, in {unit}, as "
+                "of others",
                 "vertical": "no vertical CRS in the file; its heights are taken as {crs}, as of "
                 "others",
                 "unit": "nothing states the unit of heights; they are taken in {unit}, as "

@@ -50,6 +50,8 @@ KEY: Final = "outputs.crs"
 
 UNITS_KEY: Final = "outputs.units"
 
+CELL_KEY: Final = "outputs.cell"
+
 _CHUNK: Final = 500_000
 """Points that are converted at once [count]."""
 
@@ -83,7 +85,7 @@ class Reprojection:
 
     def __init__(self, survey: CRS | None, text: str | None, unit: str | None = None) -> None:
         #: Key of the workflow that asks for it.
-        self.key = UNITS_KEY if text is None else KEY
+        self.key = KEY if text is not None else UNITS_KEY if unit is not None else CELL_KEY
         named = None if text is None else _named(text)
         if survey is None or not horizontal(survey).is_projected:
             raise WorkflowError(

@@ -175,6 +175,8 @@ def test_another_unit_is_an_exact_factor_that_every_file_states(
 def test_another_unit_needs_a_crs() -> None:
     with pytest.raises(WorkflowError, match=r"outputs\.units: the survey has no CRS"):
         Reprojection(None, None, "us-ft")
+    with pytest.raises(WorkflowError, match=r"outputs\.cell: the survey has no CRS"):
+        Reprojection(None, None)
 
 
 def test_a_named_crs_in_a_named_unit() -> None:

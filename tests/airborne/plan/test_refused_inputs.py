@@ -1,6 +1,7 @@
 """What a plan refuses by headers, and a run once its files are read; both ends of files."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -131,3 +132,17 @@ def test_a_trajectory_is_known_by_its_first_records(tmp_path: Path) -> None:
     for name in ("t.sbet", "none.csv"):
         with pytest.raises(InputError):
             has_records(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("outputs", "said"),
+    [
+        ({"cell": 5000}, "outputs.cell: 5000 is less .* write 0.001 to 50, in the unit"),
+        ({"cell": 0.0001, "units": "us-ft"}, "outputs.cell: 0.0001 .* write 0.00328083 to 164.042"),
+    ],
+)
+def test_cells_elsewhere_are_as_large_as_others_may_be(
+    tmp_path: Path, outputs: dict[str, Any], said: str
+) -> None:
+    with pytest.raises(WorkflowError, match=said):
+        api.plan(surveys.small_survey(tmp_path, outputs=outputs))

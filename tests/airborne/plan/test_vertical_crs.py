@@ -14,6 +14,7 @@ from spl_batch.formats.crs import horizontal, vertical
 from tests import surveys
 
 UTM, NAVD88, EGM96 = "EPSG:32615", "EPSG:32615+5703", "EPSG:32615+5773"
+FEET, FEET_NAVD88, HALF = "EPSG:2278", "EPSG:2278+6360", "EPSG:2278+5703"
 
 
 def gathered(folder: Path, files: list[str | None], **survey: str) -> Inputs:
@@ -60,12 +61,19 @@ def test_files_of_another_datum_are_bad_and_those_of_none_are_told(tmp_path: Pat
     assert "NAVD88" in one.values["crs"]
 
 
+def test_a_file_without_a_crs_beside_others_is_told(tmp_path: Path) -> None:
+    inputs = gathered(tmp_path, [FEET, FEET, None])
+    (one,) = surveys.found(inputs.warnings, "I08", "others")
+    assert one.subject == "2.laz"
+    assert "EPSG:2278" in one.values["crs"]
+    assert one.values["unit"] == "US survey feet"
+    inputs = gathered(tmp_path, [FEET, FEET, None], crs=FEET)
+    assert not surveys.found(inputs.warnings, "I08", "others")
+
+
 def test_a_named_datum_contradicts_no_file(tmp_path: Path) -> None:
     with pytest.raises(WorkflowError, match="vertical_crs: the files say 'NAVD88 height'"):
         gathered(tmp_path, [NAVD88], vertical_crs="EPSG:5773")
-
-
-FEET, FEET_NAVD88, HALF = "EPSG:2278", "EPSG:2278+6360", "EPSG:2278+5703"
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,9 @@ from pyproj import CRS
 
 from spl_batch.airborne.context import reprojection
 from spl_batch.airborne.plan.inputs.file_positions import usable, without_degrees
-from spl_batch.airborne.settings import OutputSettings, SurveySettings
+from spl_batch.airborne.settings import SurveySettings
 from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.errors import InputError, WorkflowError
 from spl_batch.formats.crs import (
@@ -31,6 +32,7 @@ from spl_batch.formats.crs import (
 from spl_batch.formats.heights import NAVD88, completed, heights_fault
 from spl_batch.formats.las.header import WAVEFORM_FORMATS
 from spl_batch.formats.las.reader import LasFacts
+from spl_batch.formats.reprojection import CELL_KEY
 from spl_batch.formats.units import Units, in_words
 
 T = TypeVar("T", bound=Hashable)
@@ -75,11 +77,20 @@ def survey_crs(
     return horizontal(given), good, bad + elsewhere + stretched
 
 
-def check_reprojection(outputs: OutputSettings, crs: CRS | None, files: Sequence[LasFacts]) -> None:
-    """Refuse a CRS for outputs that the survey's corners, or waveforms, cannot be brought to."""
-    moved = reprojection(outputs, crs)
+def check_reprojection(workflow: Workflow, crs: CRS | None, files: Sequence[LasFacts]) -> None:
+    """Refuse a CRS for outputs that the survey's corners, or waveforms, cannot be brought to.
+
+    A raster cell there, too, that is smaller than a millimetre or larger than a ground cell.
+    """
+    moved, cell = reprojection(workflow.outputs, crs), workflow.outputs.cell
     if moved is None:
         return
+    smallest, largest = map(moved.in_units, (QUANTUM_M, workflow.ground.cell_m))
+    if cell is not None and not smallest <= cell <= largest:
+        raise WorkflowError(
+            f"{CELL_KEY}: {cell:g} is less than a millimetre or more than ground.cell_m; write "
+            f"{smallest:g} to {largest:g}, in the unit of the CRS"
+        )
     ends = [end for facts in files if facts.n_points for end in (facts.mins_m, facts.maxs_m)]
     moved.check(np.array(ends) / Units.of(crs).xyz_m)
     waves = [facts for facts in files if facts.point_format in WAVEFORM_FORMATS]
@@ -142,10 +153,12 @@ def _heights(facts: LasFacts) -> CRS | None:
     return None if facts.crs is None else vertical(facts.crs)
 
 
-def crs_findings(crs: CRS | None, files: Sequence[tuple[str, LasFacts]]) -> list[Finding]:
-    """A survey without a CRS or with a local one, and files whose heights have none.
+def crs_findings(
+    crs: CRS | None, files: Sequence[tuple[str, LasFacts]], *, stated: bool
+) -> list[Finding]:
+    """A survey without a CRS or with a local one, and files whose places or heights have none.
 
-    ``files``: with boxes in metres.
+    ``files``: with boxes in metres. ``stated``: whether ``survey.crs`` stands for what they lack.
     """
     if crs is None:
         return [Finding("I08", {"kind": "none"})] if files else []
@@ -153,6 +166,9 @@ def crs_findings(crs: CRS | None, files: Sequence[tuple[str, LasFacts]]) -> list
     values = {"kind": "unit", "unit": in_words(units.vertical), "codes": NAVD88}
     of_heights = [Finding("I08", values)]
     found = of_heights if unstated and not units.are_metres else []
+    if not stated:
+        others = {"kind": "others", "crs": crs_name(crs), "unit": in_words(units.horizontal)}
+        found += [Finding("I08", others, name) for name in _without_crs(files)]
     if horizontal(crs).is_engineering:
         return [*found, Finding("I08", {"kind": "local", "crs": crs_name(crs)})]
     return [*found, *_areas_off(crs, files), *_without_heights(crs, files)]
@@ -164,6 +180,11 @@ def _areas_off(crs: CRS, files: Iterable[tuple[str, LasFacts]]) -> Iterator[Find
     if max(abs(lengths - 1.0), abs(areas - 1.0)) > AREAS_APART:
         values = {"kind": "scale", "crs": crs_name(crs), "lengths": lengths, "areas": areas}
         yield Finding("I05", values)
+
+
+def _without_crs(files: Iterable[tuple[str, LasFacts]]) -> list[str]:
+    """Files with points and without a CRS."""
+    return [name for name, facts in files if facts.crs is None and facts.n_points]
 
 
 def _without_heights(crs: CRS, files: Iterable[tuple[str, LasFacts]]) -> list[Finding]:

@@ -146,7 +146,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         geoid = workflow.outputs.geoid
         Geoid(geoid.grid, base / geoid.grid, crs).crs_above(geoid.crs)
     if good:
-        check_reprojection(workflow.outputs, crs, good)
+        check_reprojection(workflow, crs, good)
     _refuse_no_copc(workflow, good, base)
     untimed = _without_time(workflow, good, base)
     warnings = [*(Finding("I06", {"what": text}) for text in workflow.remarks()), *apart, *untimed]
@@ -158,7 +158,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     placed = [(name_below(facts.path, base), facts) for facts in good]
     warnings += [*degrees_as_metres(placed), *far_positions(placed), *saved_again(placed)]
     warnings += looked_into(checkpoints, crs, workflow.reference, good)
-    warnings += crs_findings(crs, placed)
+    warnings += crs_findings(crs, placed, stated=workflow.survey.crs is not None)
     names = _delivered_names([f.path for f in good], base)
     sources = tuple(
         Source(f.path, name_below(f.path, base), name, source_key(name), f)
