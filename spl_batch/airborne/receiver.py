@@ -8,6 +8,7 @@ from spl_batch.airborne.catalogue.delivered_files import (
     CLIENT_TILES,
     CONTOURS,
     INDEX,
+    REPROJECTED,
     STAC,
     VIRTUAL,
 )
@@ -60,7 +61,7 @@ class Imaging(Receiver[Survey, Context]):
     ledger = Survey
     context = Context
     delivered: ClassVar[tuple[str, ...]] = (
-        *("laz/**/*", "tiles/*", "copc/**/*", "reprojected/**/*", f"{STAC}/*.json"),
+        *("laz/**/*", "tiles/*", "copc/**/*", f"{REPROJECTED}/**/*", f"{STAC}/*.json"),
         *(VIRTUAL, INDEX, CONTOURS, f"{CLIENT_TILES}/*"),
         *(f"{p.name}.tif" for p in (*PRODUCTS, *ABOVE_GEOID) if p.delivered),
     )
@@ -193,6 +194,8 @@ class Imaging(Receiver[Survey, Context]):
                 [output / "dtm.tif", output / "dsm.tif"],
             ),
             ("clouds", [output / "laz"]),
+            ("reprojected", [output / REPROJECTED]),
+            ("client tiles", [output / CLIENT_TILES]),
         ]
 
 

@@ -96,6 +96,17 @@ def test_the_report_states_the_units(twins: tuple[Path, Path]) -> None:
     assert not [one for one in feet["findings"] if one["code"] in {"C01", "I08"}]
 
 
+def test_a_report_written_again_keeps_the_unit_and_all_is_listed(twins: tuple[Path, Path]) -> None:
+    listed = dict(api.report(twins[0]).results)
+    for label, name in (("reprojected", "reprojected"), ("client tiles", "client_tiles")):
+        assert listed[label] == [twins[0] / name]
+        assert (twins[0] / name).is_dir()
+    survey = json.loads((twins[0] / "report.json").read_text())["survey"]
+    assert survey["units"]["vertical"] == US_FOOT
+    assert survey["crs_name"] == "WGS 84 / UTM zone 15N"
+    assert survey["reprojected_crs_name"] == "WGS 84 / UTM zone 15N (ftUS)"
+
+
 def test_findings_lie_where_the_cloud_does(
     twins: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:

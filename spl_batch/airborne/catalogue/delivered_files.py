@@ -34,6 +34,9 @@ CONTOURS: Final = "contours.gpkg"
 CLIENT_TILES: Final = "client_tiles"
 """Folder of what a client's polygons cut out, below the output."""
 
+REPROJECTED: Final = "reprojected"
+"""Folder of clouds and rasters in another CRS or unit, below the output."""
+
 GPS_EPOCH: Final = dt.datetime(1980, 1, 6, tzinfo=dt.UTC)
 """Where GPS time begins; it stands for a time that nothing tells."""
 

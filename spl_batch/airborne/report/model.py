@@ -92,8 +92,13 @@ class Survey(Part):
     """What was processed."""
 
     name: str = Field(description="Title of the report.")
-    crs: str | None = Field(None, description="CRS of everything delivered, e.g. EPSG:32615.")
+    crs: str | None = Field(
+        None, description="CRS of what is delivered outside reprojected/, e.g. EPSG:32615."
+    )
     crs_name: str | None = Field(None, description="Its name in words.")
+    reprojected_crs_name: str | None = Field(
+        None, description="Name of the CRS of reprojected/, where outputs.crs, units or cell ask."
+    )
     units: DeliveredUnits = DeliveredUnits()
     sensor: str | None = Field(None, description="Name of the instrument.")
     area_km2: Number = Field(

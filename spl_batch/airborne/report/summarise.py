@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from spl_batch.airborne.context import Context
+from spl_batch.airborne.context import Context, reprojection
 from spl_batch.airborne.diagnostics.air_fill import air_findings
 from spl_batch.airborne.diagnostics.noise_fit import noise_findings, p_values, uniformity
 from spl_batch.airborne.diagnostics.terrain_sigma import terrain_findings
@@ -124,10 +124,12 @@ def _survey(done: Receipts, context: Context) -> Survey:
     low = [min(b[a] for b in boxes) * QUANTUM_M for a in (0, 1)]
     high = [max(b[a] for b in boxes) * QUANTUM_M for a in (3, 4)]
     authority = crs.to_authority() if crs is not None else None
+    elsewhere = reprojection(workflow.outputs, crs)
     return Survey(
         name=workflow.survey.name,
         crs=":".join(authority) if authority else (crs.name if crs is not None else None),
         crs_name=crs.name if crs is not None else None,
+        reprojected_crs_name=None if elsewhere is None else elsewhere.crs.name,
         units=DeliveredUnits(**asdict(context.shown_units)),
         sensor=workflow.sensor.name if workflow.filtering else None,
         area_km2=area_km2(done, context),
