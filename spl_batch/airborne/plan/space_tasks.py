@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import PurePath
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from spl_batch.airborne.plan.inputs.file_positions import FAR_M
 from spl_batch.airborne.plan.inputs.survey_inputs import Source, source_args
 from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_bounds
 from spl_batch.airborne.plan.task_memory import cell_bytes, refusal, surface_reach_m
-from spl_batch.airborne.products.product_table import ABOVE_GEOID, products
+from spl_batch.airborne.products.product_table import ABOVE_GEOID, MOST_PIXELS, products
 from spl_batch.airborne.store.label_tables import SHIFTED
 from spl_batch.airborne.tasks.delivered_points import terrain_margin_q
 from spl_batch.constants import QUANTA_PER_M
@@ -34,9 +34,6 @@ from spl_batch.lattice.tiles import (
     quanta,
     shared,
 )
-
-MOST_PIXELS: Final = 2**34
-"""Cells of a raster of a whole survey, at most [count]: 130 km x 130 km of square metres."""
 
 
 class _Pieces(NamedTuple):

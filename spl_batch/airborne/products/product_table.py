@@ -2,6 +2,9 @@
 
 from typing import Final, NamedTuple
 
+MOST_PIXELS: Final = 2**34
+"""Cells of a raster of a whole survey, at most [count]: 130 km x 130 km of square metres."""
+
 
 class Product(NamedTuple):
     """A raster."""

@@ -146,3 +146,16 @@ def test_cells_elsewhere_are_as_large_as_others_may_be(
 ) -> None:
     with pytest.raises(WorkflowError, match=said):
         api.plan(surveys.small_survey(tmp_path, outputs=outputs))
+
+
+def test_rasters_elsewhere_have_no_more_cells_than_others_may_have(tmp_path: Path) -> None:
+    for k in range(2):
+        line = surveys.flightline(shots=5)
+        line["x"] = line["x"] + 4000.0 * k
+        line["y"] = line["y"] + 5000.0 * k
+        surveys.write_cloud(tmp_path / "lines" / f"{k}.laz", line)
+    with pytest.raises(
+        WorkflowError, match=r"outputs\.cell: rasters would have 20 .* cells of 0\.001"
+    ):
+        api.plan(surveys.write_workflow(tmp_path, outputs={"cell": 0.001}))
+    api.plan(surveys.write_workflow(tmp_path, outputs={"cell": 0.5}))

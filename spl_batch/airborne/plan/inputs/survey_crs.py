@@ -11,11 +11,12 @@ from pyproj import CRS
 
 from spl_batch.airborne.context import reprojection
 from spl_batch.airborne.plan.inputs.file_positions import usable, without_degrees
+from spl_batch.airborne.products.product_table import MOST_PIXELS
 from spl_batch.airborne.settings import SurveySettings
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.findings import Finding
-from spl_batch.errors import InputError, WorkflowError
+from spl_batch.errors import InputError, WorkflowError, grouped
 from spl_batch.formats.crs import (
     compound,
     crs_name,
@@ -32,7 +33,7 @@ from spl_batch.formats.crs import (
 from spl_batch.formats.heights import NAVD88, completed, heights_fault
 from spl_batch.formats.las.header import WAVEFORM_FORMATS
 from spl_batch.formats.las.reader import LasFacts
-from spl_batch.formats.reprojection import CELL_KEY
+from spl_batch.formats.reprojection import CELL_KEY, Reprojection
 from spl_batch.formats.units import Units, in_words
 
 T = TypeVar("T", bound=Hashable)
@@ -80,23 +81,41 @@ def survey_crs(
 def check_reprojection(workflow: Workflow, crs: CRS | None, files: Sequence[LasFacts]) -> None:
     """Refuse a CRS for outputs that the survey's corners, or waveforms, cannot be brought to.
 
-    A raster cell there, too, that is smaller than a millimetre or larger than a ground cell.
+    A raster cell there, too, that is smaller than a millimetre, larger than a ground cell, or so
+    small that rasters have more than :data:`MOST_PIXELS` of them.
     """
-    moved, cell = reprojection(workflow.outputs, crs), workflow.outputs.cell
+    moved = reprojection(workflow.outputs, crs)
     if moved is None:
         return
-    smallest, largest = map(moved.in_units, (QUANTUM_M, workflow.ground.cell_m))
-    if cell is not None and not smallest <= cell <= largest:
-        raise WorkflowError(
-            f"{CELL_KEY}: {cell:g} is less than a millimetre or more than ground.cell_m; write "
-            f"{smallest:g} to {largest:g}, in the unit of the CRS"
-        )
+    if workflow.outputs.cell is not None:
+        _check_cell(workflow.outputs.cell, workflow, moved, files)
     ends = [end for facts in files if facts.n_points for end in (facts.mins_m, facts.maxs_m)]
     moved.check(np.array(ends) / Units.of(crs).xyz_m)
     waves = [facts for facts in files if facts.point_format in WAVEFORM_FORMATS]
     if waves and moved.moves_points:
         raise WorkflowError(
             f"{moved.key}: {waves[0].path}: directions of waveforms are not converted; leave it out"
+        )
+
+
+def _check_cell(
+    cell: float, workflow: Workflow, moved: Reprojection, files: Sequence[LasFacts]
+) -> None:
+    """Refuse a raster cell elsewhere, in the unit there; parameters as of check_reprojection."""
+    smallest, largest = map(moved.in_units, (QUANTUM_M, workflow.ground.cell_m))
+    if not smallest <= cell <= largest:
+        raise WorkflowError(
+            f"{CELL_KEY}: {cell:g} is less than a millimetre or more than ground.cell_m; write "
+            f"{smallest:g} to {largest:g}, in the unit of the CRS"
+        )
+    area_m2 = float(np.ptp(_corners(files), axis=0).prod())
+    # Of a survey with more raster cells than that rasters show the main part alone.
+    whole = area_m2 <= MOST_PIXELS * workflow.products.cell_m**2
+    pixels = area_m2 * (moved.in_units(1.0) / cell) ** 2
+    if whole and pixels > MOST_PIXELS:
+        raise WorkflowError(
+            f"{CELL_KEY}: rasters would have {grouped(pixels)} cells of {cell:g}, more than "
+            f"{grouped(MOST_PIXELS)}; write a larger one"
         )
 
 
