@@ -179,9 +179,9 @@ def main() -> None:
     over = time.time()
     if status:
         sys.exit(f"ended with {status}")
-    following = (some["at"] for some in events(log) if some["at"] > killed)
-    next_task = next(at for at in following)
-    print(f"first task ended {next_task - killed:.1f} s after the kill; {highest:.0f} MB")
+    following = (some for some in events(log) if some["at"] > killed)
+    next_s = next(some["at"] for some in following if some["event"] == "TaskEnded") - killed
+    print(f"first task ended {next_s:.1f} s after the kill; {highest:.0f} MB")
     print(f"{over - begun:.0f} s in all")
     for kind, (count, own, mean) in stages(log).items():
         print(f"{kind:20} {count:8} tasks {own:8.0f} s {1000 * mean:8.1f} ms each")
