@@ -11,6 +11,7 @@ from pyproj import CRS
 
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.crs import (
+    crs_from_wkt,
     crs_problems,
     other_crs,
     same_crs,
@@ -168,6 +169,21 @@ def test_keys_that_are_padded_are_read_as_far_as_they_are_counted() -> None:
 @pytest.mark.parametrize(("unit", "name"), [(9001, "metre"), (9002, "foot"), (9003, US_FOOT)])
 def test_a_local_crs_of_geotiff_keys_has_their_unit(unit: int, name: str) -> None:
     assert Units.of(_keys((1024, 1), (3072, 32767), (3076, unit))).horizontal == name
+
+
+def test_a_code_of_metres_beside_keys_in_feet_is_not_taken() -> None:
+    feet, metres = CRS("EPSG:2255"), CRS("EPSG:26995")
+    text = feet.to_wkt("WKT1_GDAL").replace('["EPSG","2255"]', '["EPSG","26995"]')
+    found = crs_from_wkt(text.encode())
+    assert found is not None
+    assert same_crs(found, feet)
+    assert not same_crs(found, metres)
+    assert 'AUTHORITY["EPSG","2255"]' in found.to_wkt("WKT1_GDAL")
+    odd = crs_from_wkt(text.replace("2296583.333", "2296000").encode())
+    assert odd is not None
+    assert odd.to_json_dict().get("id") is None
+    own = feet.to_wkt("WKT1_GDAL").encode()
+    assert crs_from_wkt(own) == CRS.from_wkt(own.decode())
 
 
 def test_vertical_crs_of_geotiff_keys() -> None:
