@@ -23,13 +23,14 @@ def other_heights(found: CRS, survey: CRS) -> str:
     return f"heights are {crs_name(one)}, the survey's {crs_name(other)}"
 
 
-def _states_heights(crs: CRS) -> bool:
+def states_heights(crs: CRS) -> bool:
+    """Whether a CRS says what heights are above, or their unit."""
     return vertical(crs) is not None or len(crs.axis_info) > 2
 
 
 def completed(found: CRS, stated: CRS | None) -> CRS:
     """CRS of a file, with the heights that a user states for it where it names none itself."""
-    if stated is None or vertical(stated) is None or _states_heights(found):
+    if stated is None or vertical(stated) is None or states_heights(found):
         return found
     return stated if same_crs(found, stated) else found
 
@@ -41,7 +42,7 @@ def heights_ratio(found: CRS, survey: CRS) -> float | None:
     beside degrees where it is the metre; elsewhere nothing tells, and it is None.
     """
     mine, ours = Units.of(found).vertical_m, Units.of(survey).vertical_m
-    return mine / ours if _states_heights(found) or mine == ours else None
+    return mine / ours if states_heights(found) or mine == ours else None
 
 
 def unknown_unit(found: CRS, survey: CRS, remedy: str) -> str:
