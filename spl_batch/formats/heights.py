@@ -17,10 +17,23 @@ NAVD88: Final = "EPSG:6360 states US survey feet, EPSG:8228 feet, EPSG:5703 metr
 
 def other_heights(found: CRS, survey: CRS) -> str:
     """What heights of a CRS are, where they are not the survey's; empty where they may be."""
-    one, other = vertical(found), vertical(survey)
-    if one is None or other is None or same_heights(one, other):
+    if not (states_heights(found) and states_heights(survey)):
         return ""
-    return f"heights are {crs_name(one)}, the survey's {crs_name(other)}"
+    one, other = vertical(found), vertical(survey)
+    above = [_above_ellipsoid(crs) for crs in (found, survey)]
+    if all(above) or (one is not None and other is not None and same_heights(one, other)):
+        return ""
+    mine, ours = (
+        f"above the ellipsoid by {crs_name(crs)}" if high else crs_name(vertical(crs) or crs)
+        for crs, high in zip((found, survey), above, strict=True)
+    )
+    return f"heights are {mine}, the survey's {ours}"
+
+
+def _above_ellipsoid(crs: CRS) -> bool:
+    """Whether heights that a CRS states are above the ellipsoid, as GDAL's vertical CRS say too."""
+    datum = vertical(crs)
+    return datum is None or "ellipsoid" in datum.name.lower()
 
 
 def states_heights(crs: CRS) -> bool:

@@ -229,12 +229,17 @@ def test_keys_with_numbers_and_names_of_their_own(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("found", "differ"),
-    [("EPSG:2154+5703", False), ("EPSG:32615", False), ("EPSG:2154+5773", True)],
+    [
+        ("EPSG:2154+5703", False),
+        ("EPSG:32615", False),
+        ("EPSG:2154+5773", True),
+        ("EPSG:4979", True),
+    ],
 )
 def test_heights_that_are_not_the_surveys(found: str, *, differ: bool) -> None:
     said = other_heights(CRS.from_user_input(found), CRS.from_user_input("EPSG:32615+5703"))
     assert bool(said) == differ
-    assert ("EPSG:5773" in said) == differ
+    assert bool(re.search("EPSG:5773|above the ellipsoid .*EPSG:4979", said)) == differ
 
 
 @pytest.mark.parametrize(
@@ -281,6 +286,10 @@ def test_a_user_states_what_a_file_leaves_open(found: str, stated, wanted: str) 
         ("EPSG:4326", "EPSG:2278+6360", "degrees .* US survey feet: remedy EPSG:4326.6360 .*8228"),
         ("EPSG:2278+6360", "EPSG:2278+5703", "in US survey feet .* the survey's in metres"),
         ("EPSG:32615+5773", "EPSG:32615+5703", "heights are .*EPSG:5773.*transform"),
+        ("EPSG:4979", "EPSG:32615+5703", "above the ellipsoid by .*4979.*: transform it"),
+        ("EPSG:32615+5703", "EPSG:4979", "survey's above the ellipsoid by .*4979"),
+        ("EPSG:4979", "EPSG:4979", ""),
+        ("EPSG:4979", "EPSG:32615", ""),
         ("EPSG:2278", "EPSG:2278+6360", ""),
         ("EPSG:32615+5703", "EPSG:32615", ""),
     ],
