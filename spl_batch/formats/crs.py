@@ -138,6 +138,11 @@ def with_vertical(crs: CRS | None, text: str, key: str) -> CRS:
         raise WorkflowError(f"{key}: {turned}")
     if crs is None:
         raise WorkflowError(f"{key}: the files have no CRS that it could complete: set survey.crs")
+    if len(crs.axis_info) > 2 and not crs.is_compound:
+        raise WorkflowError(
+            f"{key}: the files say heights above the ellipsoid by {crs_name(crs)}, not "
+            f"{crs_name(named)}; leave the key out, or correct the files"
+        )
     found = vertical(crs)
     if found is not None and not same_heights(found, named):
         raise WorkflowError(

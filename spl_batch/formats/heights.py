@@ -8,7 +8,7 @@ from typing import Final
 
 from pyproj import CRS
 
-from spl_batch.formats.crs import crs_name, horizontal, same_crs, same_heights, vertical
+from spl_batch.formats.crs import compound, crs_name, horizontal, same_crs, same_heights, vertical
 from spl_batch.formats.units import Units, in_words
 
 NAVD88: Final = "EPSG:6360 states US survey feet, EPSG:8228 feet, EPSG:5703 metres"
@@ -30,6 +30,15 @@ def other_heights(found: CRS, survey: CRS) -> str:
     return f"heights are {mine}, the survey's {ours}"
 
 
+def with_heights_of(crs: CRS, stating: CRS) -> CRS:
+    """A horizontal CRS with heights of a vertical one, or of another of the same places.
+
+    Heights above the ellipsoid have no CRS of their own: then it is that other one itself.
+    """
+    heights = stating if len(stating.axis_info) == 1 else vertical(stating)
+    return stating if heights is None else compound(crs, heights)
+
+
 def _above_ellipsoid(crs: CRS) -> bool:
     """Whether heights that a CRS states are above the ellipsoid, as GDAL's vertical CRS say too."""
     datum = vertical(crs)
@@ -43,7 +52,7 @@ def states_heights(crs: CRS) -> bool:
 
 def completed(found: CRS, stated: CRS | None) -> CRS:
     """CRS of a file, with the heights that a user states for it where it names none itself."""
-    if stated is None or vertical(stated) is None or states_heights(found):
+    if stated is None or not states_heights(stated) or states_heights(found):
         return found
     return stated if same_crs(found, stated) else found
 

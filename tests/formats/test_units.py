@@ -172,6 +172,20 @@ def test_another_unit_is_an_exact_factor_that_every_file_states(
     np.testing.assert_allclose(part.values, heights, rtol=1e-6)
 
 
+def test_a_raster_of_heights_above_the_ellipsoid_has_its_crs(tmp_path: Path) -> None:
+    deep = CRS("EPSG:6588").to_3d()
+    write_cog(
+        tmp_path / "dtm", np.array([[812.5]], np.float32), shape=(1, 1), origin_xy_m=(4.0, 9.0),
+        crs=deep.to_wkt(), description="", unit="m",
+    )  # fmt: skip
+    with rasterio.open(tmp_path / "dtm") as source:
+        assert source.crs.to_epsg() == 6588
+        assert source.units == ("m",)
+    part = read_part(tmp_path / "dtm", (4.1, 8.1, 4.2, 8.2))
+    assert part is not None
+    np.testing.assert_allclose(part.values, 812.5, rtol=1e-6)
+
+
 def test_another_unit_needs_a_crs() -> None:
     with pytest.raises(WorkflowError, match=r"outputs\.units: the survey has no CRS"):
         Reprojection(None, None, "us-ft")

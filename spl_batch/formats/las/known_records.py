@@ -27,7 +27,7 @@ from spl_batch.formats.crs import (
     vertical,
 )
 from spl_batch.formats.geotiff_keys import GEO_KEYS, crs_from_geotiff
-from spl_batch.formats.heights import states_heights
+from spl_batch.formats.heights import states_heights, with_heights_of
 from spl_batch.formats.las.chunks import LASZIP_KEY
 from spl_batch.formats.las.frame import wkt_vlr
 from spl_batch.formats.las.header import (
@@ -140,8 +140,7 @@ def _of_both(header: LasHeader) -> CRS | None:
         return None
     if wkt is None or keys is None or states_heights(wkt) or not states_heights(keys):
         return None
-    heights = vertical(keys)
-    return keys if heights is None else compound(wkt, heights)
+    return with_heights_of(wkt, keys)
 
 
 def _keys_crs(header: LasHeader) -> CRS | None:
