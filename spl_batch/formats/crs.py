@@ -174,7 +174,8 @@ def in_unit(crs: CRS, name: str) -> CRS:
     heights = vertical(crs)
     if heights is not None:
         return compound(in_unit(horizontal(crs), name), in_unit(heights, name))
-    content = (crs.source_crs if crs.is_bound else crs).to_json_dict()
+    bound = crs.source_crs if crs.is_bound else None
+    content = (bound or crs).to_json_dict()
     content.pop("id", None)
     for axis in content["coordinate_system"]["axis"]:
         axis["unit"] = {"type": "LinearUnit", "name": name, "conversion_factor": metres_in(name)}
