@@ -79,7 +79,27 @@ def projected_crs(text: str | None, key: str, faults: list[str]) -> CRS | None:
 def crs_from_wkt(data: bytes) -> CRS | None:
     """CRS of a WKT record, of which a survey has few; none where it is empty."""
     text = data.split(b"\0")[0].decode("utf-8", errors="replace").strip()
-    return CRS.from_wkt(text) if text else None
+    return _with_its_code(CRS.from_wkt(text)) if text else None
+
+
+def _with_its_code(crs: CRS) -> CRS:
+    """A CRS whose projected part has no EPSG code but its own.
+
+    GDAL leaves that of metres beside keys that state feet, and writers copy it; others read the
+    code alone.
+    """
+    flat = horizontal(crs)
+    own = flat.to_json_dict().get("id", {}) if flat.is_projected else {}
+    if own.get("authority") != "EPSG":
+        return crs
+    try:
+        known = CRS.from_epsg(own["code"])
+    except CRSError:
+        return crs  # of a newer registry
+    if known.equals(flat, ignore_axis_order=True) or not differences(flat, known):
+        return crs
+    flat, heights = in_unit(flat, Units.of(flat).horizontal), vertical(crs)
+    return flat if heights is None else compound(flat, heights)
 
 
 def horizontal(crs: CRS) -> CRS:
@@ -118,6 +138,11 @@ def with_vertical(crs: CRS | None, text: str, key: str) -> CRS:
         raise WorkflowError(f"{key}: {turned}")
     if crs is None:
         raise WorkflowError(f"{key}: the files have no CRS that it could complete: set survey.crs")
+    if len(crs.axis_info) > 2 and not crs.is_compound:
+        raise WorkflowError(
+            f"{key}: the files say heights above the ellipsoid by {crs_name(crs)}, not "
+            f"{crs_name(named)}; leave the key out, or correct the files"
+        )
     found = vertical(crs)
     if found is not None and not same_heights(found, named):
         raise WorkflowError(
@@ -142,14 +167,15 @@ def in_unit(crs: CRS, name: str) -> CRS:
     Parameters
     ----------
     crs : CRS
-        Projected, local, vertical, or a compound of such.
+        Projected, local, vertical, or a compound of such; one bound to another loses that.
     name : str
         Unit of lengths by PROJ's name, which PROJ knows.
     """
     heights = vertical(crs)
     if heights is not None:
         return compound(in_unit(horizontal(crs), name), in_unit(heights, name))
-    content = crs.to_json_dict()
+    bound = crs.source_crs if crs.is_bound else None
+    content = (bound or crs).to_json_dict()
     content.pop("id", None)
     for axis in content["coordinate_system"]["axis"]:
         axis["unit"] = {"type": "LinearUnit", "name": name, "conversion_factor": metres_in(name)}

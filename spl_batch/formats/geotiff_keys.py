@@ -14,7 +14,7 @@ from pyproj.exceptions import CRSError
 from rasterio.errors import RasterioError, RasterioIOError
 from rasterio.io import MemoryFile
 
-from spl_batch.formats.crs import NAMELESS, compound, horizontal, in_unit, vertical
+from spl_batch.formats.crs import NAMELESS, compound, crs_from_wkt, horizontal, in_unit, vertical
 from spl_batch.formats.units import METRE, Units, metres_in
 
 GEO_KEYS: Final = (
@@ -97,7 +97,7 @@ def _by_gdal(entries: NDArray[np.uint16], doubles: bytes, text: bytes) -> CRS | 
         # Without the option, GDAL leaves the vertical part out of keys of version 1.0.
         env = rasterio.Env(GTIFF_REPORT_COMPD_CS=True)
         with env, MemoryFile(tiff) as memory, memory.open() as image:
-            return CRS.from_wkt(image.crs.to_wkt()) if image.crs else None
+            return crs_from_wkt(image.crs.to_wkt().encode()) if image.crs else None
     except (RasterioError, RasterioIOError) as error:
         raise CRSError(str(error)) from None
 

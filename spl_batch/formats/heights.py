@@ -8,7 +8,7 @@ from typing import Final
 
 from pyproj import CRS
 
-from spl_batch.formats.crs import crs_name, horizontal, same_crs, same_heights, vertical
+from spl_batch.formats.crs import compound, crs_name, horizontal, same_crs, same_heights, vertical
 from spl_batch.formats.units import Units, in_words
 
 NAVD88: Final = "EPSG:6360 states US survey feet, EPSG:8228 feet, EPSG:5703 metres"
@@ -17,19 +17,42 @@ NAVD88: Final = "EPSG:6360 states US survey feet, EPSG:8228 feet, EPSG:5703 metr
 
 def other_heights(found: CRS, survey: CRS) -> str:
     """What heights of a CRS are, where they are not the survey's; empty where they may be."""
-    one, other = vertical(found), vertical(survey)
-    if one is None or other is None or same_heights(one, other):
+    if not (states_heights(found) and states_heights(survey)):
         return ""
-    return f"heights are {crs_name(one)}, the survey's {crs_name(other)}"
+    one, other = vertical(found), vertical(survey)
+    above = [_above_ellipsoid(crs) for crs in (found, survey)]
+    if all(above) or (one is not None and other is not None and same_heights(one, other)):
+        return ""
+    mine, ours = (
+        f"above the ellipsoid by {crs_name(crs)}" if high else crs_name(vertical(crs) or crs)
+        for crs, high in zip((found, survey), above, strict=True)
+    )
+    return f"heights are {mine}, the survey's {ours}"
 
 
-def _states_heights(crs: CRS) -> bool:
+def with_heights_of(crs: CRS, stating: CRS) -> CRS:
+    """A horizontal CRS with heights of a vertical one, or of another of the same places.
+
+    Heights above the ellipsoid have no CRS of their own: then it is that other one itself.
+    """
+    heights = stating if len(stating.axis_info) == 1 else vertical(stating)
+    return stating if heights is None else compound(crs, heights)
+
+
+def _above_ellipsoid(crs: CRS) -> bool:
+    """Whether heights that a CRS states are above the ellipsoid, as GDAL's vertical CRS say too."""
+    datum = vertical(crs)
+    return datum is None or "ellipsoid" in datum.name.lower()
+
+
+def states_heights(crs: CRS) -> bool:
+    """Whether a CRS says what heights are above, or their unit."""
     return vertical(crs) is not None or len(crs.axis_info) > 2
 
 
 def completed(found: CRS, stated: CRS | None) -> CRS:
     """CRS of a file, with the heights that a user states for it where it names none itself."""
-    if stated is None or vertical(stated) is None or _states_heights(found):
+    if stated is None or not states_heights(stated) or states_heights(found):
         return found
     return stated if same_crs(found, stated) else found
 
@@ -41,7 +64,7 @@ def heights_ratio(found: CRS, survey: CRS) -> float | None:
     beside degrees where it is the metre; elsewhere nothing tells, and it is None.
     """
     mine, ours = Units.of(found).vertical_m, Units.of(survey).vertical_m
-    return mine / ours if _states_heights(found) or mine == ours else None
+    return mine / ours if states_heights(found) or mine == ours else None
 
 
 def unknown_unit(found: CRS, survey: CRS, remedy: str) -> str:

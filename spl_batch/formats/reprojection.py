@@ -17,6 +17,7 @@ from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.crs import (
     LIBLAS_KEY,
+    NAMELESS,
     WKT_KEY,
     best_transformer,
     compound,
@@ -93,7 +94,8 @@ class Reprojection:
             )
         named = named or survey
         mine, wanted = vertical(survey), vertical(named)
-        if wanted is not None and mine is None:
+        unknown = mine is None or (mine.name in NAMELESS and named is not survey)
+        if wanted is not None and unknown:
             raise WorkflowError(
                 f"{KEY}: {crs_name(wanted)} is named, and nothing says what the survey's heights "
                 "are above: name it in survey.vertical_crs; from the ellipsoid to a geoid leads "

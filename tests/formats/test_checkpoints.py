@@ -117,6 +117,15 @@ def test_feet_are_converted_by_the_unit_that_is_stated_and_refused_without(
         assert point.x_m == pytest.approx(3_100_000 * 1200 / 3937, abs=1e-6)
 
 
+def test_heights_above_the_ellipsoid_are_none_above_a_geoid(tmp_path: Path) -> None:
+    path = tmp_path / "c.csv"
+    path.write_text("id,x,y,z,crs\nA,-95.35,29.72,20,EPSG:4979\n")
+    with pytest.raises(InputError, match=r"c\.csv.* cannot be transformed from .*4979.* the grid"):
+        read_checkpoints(path, CRS("EPSG:32615+5703"))
+    ((point,), _) = read_checkpoints(path, CRS("EPSG:32615"))
+    assert point.z_m == 20.0
+
+
 @pytest.mark.parametrize("stated", ["EPSG:2278+6360", "EPSG:32615"])
 def test_a_crs_beside_a_survey_without_one_is_refused(tmp_path: Path, stated: str) -> None:
     path = tmp_path / "c.csv"

@@ -11,6 +11,7 @@ from pyproj import CRS
 
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.crs import (
+    crs_from_wkt,
     crs_problems,
     other_crs,
     same_crs,
@@ -170,6 +171,21 @@ def test_a_local_crs_of_geotiff_keys_has_their_unit(unit: int, name: str) -> Non
     assert Units.of(_keys((1024, 1), (3072, 32767), (3076, unit))).horizontal == name
 
 
+def test_a_code_of_metres_beside_keys_in_feet_is_not_taken() -> None:
+    feet, metres = CRS("EPSG:2255"), CRS("EPSG:26995")
+    text = feet.to_wkt("WKT1_GDAL").replace('["EPSG","2255"]', '["EPSG","26995"]')
+    found = crs_from_wkt(text.encode())
+    assert found is not None
+    assert same_crs(found, feet)
+    assert not same_crs(found, metres)
+    assert 'AUTHORITY["EPSG","2255"]' in found.to_wkt("WKT1_GDAL")
+    odd = crs_from_wkt(text.replace("2296583.333", "2296000").encode())
+    assert odd is not None
+    assert odd.to_json_dict().get("id") is None
+    own = feet.to_wkt("WKT1_GDAL").encode()
+    assert crs_from_wkt(own) == CRS.from_wkt(own.decode())
+
+
 def test_vertical_crs_of_geotiff_keys() -> None:
     crs = _keys((1024, 1), (3072, 32615), (4096, 5703), (4099, 9001))
     assert crs is not None
@@ -213,12 +229,17 @@ def test_keys_with_numbers_and_names_of_their_own(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("found", "differ"),
-    [("EPSG:2154+5703", False), ("EPSG:32615", False), ("EPSG:2154+5773", True)],
+    [
+        ("EPSG:2154+5703", False),
+        ("EPSG:32615", False),
+        ("EPSG:2154+5773", True),
+        ("EPSG:4979", True),
+    ],
 )
 def test_heights_that_are_not_the_surveys(found: str, *, differ: bool) -> None:
     said = other_heights(CRS.from_user_input(found), CRS.from_user_input("EPSG:32615+5703"))
     assert bool(said) == differ
-    assert ("EPSG:5773" in said) == differ
+    assert bool(re.search("EPSG:5773|above the ellipsoid .*EPSG:4979", said)) == differ
 
 
 @pytest.mark.parametrize(
@@ -265,6 +286,10 @@ def test_a_user_states_what_a_file_leaves_open(found: str, stated, wanted: str) 
         ("EPSG:4326", "EPSG:2278+6360", "degrees .* US survey feet: remedy EPSG:4326.6360 .*8228"),
         ("EPSG:2278+6360", "EPSG:2278+5703", "in US survey feet .* the survey's in metres"),
         ("EPSG:32615+5773", "EPSG:32615+5703", "heights are .*EPSG:5773.*transform"),
+        ("EPSG:4979", "EPSG:32615+5703", "above the ellipsoid by .*4979.*: transform it"),
+        ("EPSG:32615+5703", "EPSG:4979", "survey's above the ellipsoid by .*4979"),
+        ("EPSG:4979", "EPSG:4979", ""),
+        ("EPSG:4979", "EPSG:32615", ""),
         ("EPSG:2278", "EPSG:2278+6360", ""),
         ("EPSG:32615+5703", "EPSG:32615", ""),
     ],

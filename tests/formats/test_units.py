@@ -10,7 +10,7 @@ from pyproj import CRS, Transformer
 
 from spl_batch.constants import FOOT_M, NODATA, QUANTUM_M
 from spl_batch.errors import InputError, WorkflowError
-from spl_batch.formats.crs import compound, horizontal, in_unit, vertical
+from spl_batch.formats.crs import compound, horizontal, in_unit, vertical, with_vertical
 from spl_batch.formats.geoid import Geoid
 from spl_batch.formats.las.reader import inspect, iter_points
 from spl_batch.formats.las.writer import write_points
@@ -170,6 +170,43 @@ def test_another_unit_is_an_exact_factor_that_every_file_states(
     part = read_part(tmp_path / "dtm", (4.1, 8.1, 4.2, 8.2))
     assert part is not None
     np.testing.assert_allclose(part.values, heights, rtol=1e-6)
+
+
+def test_heights_of_which_the_unit_alone_is_known_are_above_nothing_that_is_named() -> None:
+    unit = 'VERT_CS["unknown",VERT_DATUM["unknown",2005],UNIT["US survey foot",0.3048006096012192]]'
+    survey = compound(CRS("EPSG:2278"), CRS(unit))
+    for named in (TEXAS, "EPSG:32140+5703"):
+        with pytest.raises(WorkflowError, match=r"nothing says what .* survey\.vertical_crs"):
+            Reprojection(survey, named)
+    stated = with_vertical(survey, "EPSG:6360", "survey.vertical_crs")
+    assert Reprojection(stated, TEXAS).crs == CRS(TEXAS)
+    assert Units.of(Reprojection(survey, None, "m").crs).are_metres
+    assert Units.of(Reprojection(survey, "EPSG:32140").crs).vertical == US_FOOT
+
+
+@pytest.mark.parametrize("unit", NAMES)
+def test_a_crs_that_is_bound_to_another_is_in_another_unit(unit: str) -> None:
+    bound = CRS("+proj=utm +zone=10 +ellps=GRS80 +towgs84=0,0,0 +units=us-ft +type=crs")
+    assert bound.is_bound
+    for crs in (bound, compound(bound, CRS("EPSG:6360"))):
+        assert Units.of(in_unit(crs, NAMES[unit])).horizontal == NAMES[unit]
+    place = np.array([[1_800_000.0, 14_000_000.0, 100.0]])
+    there = Reprojection(bound, None, unit)
+    np.testing.assert_allclose(there.places(place), place * US_M / COMMON[NAMES[unit]])
+
+
+def test_a_raster_of_heights_above_the_ellipsoid_has_its_crs(tmp_path: Path) -> None:
+    deep = CRS("EPSG:6588").to_3d()
+    write_cog(
+        tmp_path / "dtm", np.array([[812.5]], np.float32), shape=(1, 1), origin_xy_m=(4.0, 9.0),
+        crs=deep.to_wkt(), description="", unit="m",
+    )  # fmt: skip
+    with rasterio.open(tmp_path / "dtm") as source:
+        assert source.crs.to_epsg() == 6588
+        assert source.units == ("m",)
+    part = read_part(tmp_path / "dtm", (4.1, 8.1, 4.2, 8.2))
+    assert part is not None
+    np.testing.assert_allclose(part.values, 812.5, rtol=1e-6)
 
 
 def test_another_unit_needs_a_crs() -> None:

@@ -16,7 +16,6 @@ from pyproj.exceptions import CRSError, ProjError
 from spl_batch.errors import brief, is_fault, one_line, plain
 from spl_batch.formats.crs import (
     LIBLAS_KEY,
-    NAMELESS,
     WKT_KEY,
     compound,
     crs_from_wkt,
@@ -28,6 +27,7 @@ from spl_batch.formats.crs import (
     vertical,
 )
 from spl_batch.formats.geotiff_keys import GEO_KEYS, crs_from_geotiff
+from spl_batch.formats.heights import states_heights, with_heights_of
 from spl_batch.formats.las.chunks import LASZIP_KEY
 from spl_batch.formats.las.frame import wkt_vlr
 from spl_batch.formats.las.header import (
@@ -41,6 +41,7 @@ from spl_batch.formats.las.header import (
     waveform_file,
 )
 from spl_batch.formats.las.records import EXTRA_BYTES_KEY
+from spl_batch.formats.units import Units
 
 _PARSED_BYTES: Final = 1 << 20
 """Longest record that is parsed [byte]: known ones are short, longer ones are copied."""
@@ -72,7 +73,8 @@ def header_crs(header: LasHeader) -> tuple[CRS | None, tuple[str, ...]]:
         )
         return rivals[bit], (text,)
     try:
-        return _wkt_crs(header) or _keys_crs(header) or _liblas_crs(header), ()
+        known = _of_both(header) or _wkt_crs(header) or _keys_crs(header)
+        return known or _liblas_crs(header), ()
     except CRSError as error:
         reason = brief(plain(" ".join(str(error).split())), _CRS_TEXT_MAX)
         return None, (f"the CRS record is not understood ({reason}): name the CRS in survey.crs",)
@@ -117,14 +119,28 @@ def _agree(a: CRS, b: CRS, header: LasHeader) -> bool:
 
 
 def _same_zero(a: CRS, b: CRS) -> bool:
-    """Whether heights are above the same, as far as both name it: a datum, or the ellipsoid."""
+    """Whether heights are in the same unit above the same, a datum or the ellipsoid.
+
+    Those that one alone states contradict nothing.
+    """
+    if not (states_heights(a) and states_heights(b)):
+        return True
     one, other = vertical(a), vertical(b)
     if one is not None and other is not None:
-        return bool({one.name, other.name} & {*NAMELESS}) or same_heights(one, other)
-    if one is None and other is None:
-        return True
-    without = a if one is None else b
-    return len(without.axis_info) < 3  # a third axis is the height above the ellipsoid
+        return same_heights(one, other)
+    # A third axis is the height above the ellipsoid.
+    return one is other and Units.of(a).vertical_m == Units.of(b).vertical_m
+
+
+def _of_both(header: LasHeader) -> CRS | None:
+    """CRS of a WKT record with heights that GeoTIFF keys beside it alone state; else none."""
+    try:
+        wkt, keys = _wkt_crs(header), _keys_crs(header)
+    except CRSError:
+        return None
+    if wkt is None or keys is None or states_heights(wkt) or not states_heights(keys):
+        return None
+    return with_heights_of(wkt, keys)
 
 
 def _keys_crs(header: LasHeader) -> CRS | None:
@@ -204,7 +220,7 @@ def kept_records(header: LasHeader, crs: CRS | None) -> tuple[list[Vlr], list[Ev
     dropped = {LASZIP_KEY, EXTRA_BYTES_KEY, *outvoted_records(header)}
     own = header_crs(header)[0]
     written = _delivered_crs(own, crs)
-    if written is not own:
+    if written is not own or _of_both(header) is not None:
         dropped.update((WKT_KEY, LIBLAS_KEY))
 
     def is_kept(record: Vlr | Evlr) -> bool:

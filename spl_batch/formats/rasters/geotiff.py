@@ -21,6 +21,7 @@ from rasterio.windows import Window
 
 from spl_batch.constants import NODATA
 from spl_batch.errors import InputError, StoppedError
+from spl_batch.formats.crs import horizontal
 from spl_batch.formats.files.atomic import replacing, scratch_folder
 from spl_batch.formats.units import Units
 
@@ -81,8 +82,12 @@ def write_cog(
         known_crs = None if crs is None else rasterio.crs.CRS.from_user_input(crs)
     except CRSError as error:
         raise InputError(str(path), f"CRS {crs!r} is not understood: {error}") from None
-    units = Units.of(None if known_crs is None else CRS.from_wkt(known_crs.to_wkt()))
-    if known_crs is not None and units.vertical_m != 1.0:
+    whole = None if known_crs is None else CRS.from_wkt(known_crs.to_wkt())
+    units = Units.of(whole)
+    if whole is not None and len(whole.axis_info) > 2 and not whole.is_compound:
+        # GeoTIFF has no keys for a projected CRS in three dimensions; the band states the unit.
+        known_crs = rasterio.crs.CRS.from_wkt(horizontal(whole).to_wkt())
+    elif known_crs is not None and units.vertical_m != 1.0:
         known_crs = _with_code_of_heights(known_crs, units)
     unit, unit_m = units.of_values(unit)
     if unit_m != 1.0:

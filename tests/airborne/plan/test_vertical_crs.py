@@ -11,6 +11,7 @@ from spl_batch.airborne.plan.inputs.survey_inputs import Inputs, gather_inputs
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.crs import horizontal, vertical
+from spl_batch.formats.units import Units
 from tests import surveys
 
 UTM, NAVD88, EGM96 = "EPSG:32615", "EPSG:32615+5703", "EPSG:32615+5773"
@@ -125,6 +126,21 @@ def test_heights_of_a_reference_are_the_surveys_by_what_is_stated(
             gather_inputs(workflow, tmp_path, tmp_path / "out")
     else:
         assert gather_inputs(workflow, tmp_path, tmp_path / "out").reference.usable
+
+
+def test_heights_above_the_ellipsoid_are_those_of_their_own_survey(tmp_path: Path) -> None:
+    for name in ("EPSG:6588", UTM):
+        deep = CRS(name).to_3d()
+        inputs = gathered(tmp_path, [deep.to_wkt()] * 2 + [f"{name}+5703"])
+        assert inputs.crs == deep
+        assert [Path(fault.path).name for fault in inputs.bad] == ["2.laz"]
+        assert "heights are 'NAVD88 height' (EPSG:5703), the survey's above the" in str(inputs.bad)
+        assert Units.of(inputs.crs).vertical == "metre"
+        assert not surveys.found(inputs.warnings, "I08")
+        (tmp_path / "2.laz").unlink()
+        assert gathered(tmp_path, [name] * 2, crs=deep.to_wkt()).crs == deep
+        with pytest.raises(WorkflowError, match=r"vertical_crs: .* above the ellipsoid"):
+            gathered(tmp_path, [deep.to_wkt()] * 2, vertical_crs="EPSG:5703")
 
 
 LOCAL, FOOT, US_FOOT = (1024, 32767), 9002, 9003

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from pyproj import CRS
 
+from spl_batch.constants import US_FOOT_M
 from spl_batch.errors import InputError, WorkflowError
 from spl_batch.formats.crs import horizontal
 from spl_batch.formats.gps_clock import TimeStandard
@@ -19,6 +20,7 @@ from spl_batch.formats.las.header import read_header
 from spl_batch.formats.las.known_records import broken_records, header_crs
 from spl_batch.formats.las.reader import iter_points
 from spl_batch.formats.las.writer import write_classified, write_points
+from spl_batch.formats.units import Units
 from spl_batch.lattice.tables import SOURCE_COLUMNS, PointTable, concat
 from tests.io_files import VERSIONS, patch, write_las
 
@@ -254,6 +256,40 @@ def test_heights_of_keys_and_wkt_are_above_the_same(
     records.append(laspy.VLR("LASF_Projection", 2112, "", wkt))
     src = write_las(tmp_path / "a.las", version="1.4", point_format=6, vlrs=records)
     assert (header_crs(read_header(src))[1] == ()) == agree
+
+
+@pytest.mark.parametrize("point_format", [1, 6])
+@pytest.mark.parametrize(
+    ("heights", "other", "wanted"),
+    [
+        ({4096: 5703, 4099: 9001}, "EPSG:2278", (1.0, 1.0)),
+        ({4096: 6360, 4099: 9003}, "EPSG:2278", (US_FOOT_M, US_FOOT_M)),
+        ({4096: 5019, 4099: 9001}, "EPSG:2278", (1.0, 1.0)),
+        ({}, "EPSG:2278+5703", (1.0, 1.0)),
+        ({4099: 9003}, "EPSG:2278+5703", (US_FOOT_M, 1.0)),
+    ],
+)
+def test_heights_that_one_record_alone_states_count_else_the_header_decides(
+    tmp_path: Path,
+    heights: dict[int, int],
+    other: str,
+    wanted: tuple[float, float],
+    point_format: int,
+) -> None:
+    named = ((1024, 1), (3072, 2278), (3076, 9003), *heights.items())
+    values = [1, 1, 0, len(named), *(v for key, code in named for v in (key, 0, 1, code))]
+    wkt = CRS.from_user_input(other).to_wkt("WKT1_GDAL").encode() + b"\0"
+    records = [laspy.VLR("LASF_Projection", 34735, "", np.array(values, "<u2").tobytes())]
+    records.append(laspy.VLR("LASF_Projection", 2112, "", wkt))
+    src = write_las(tmp_path / "a.las", version="1.4", point_format=point_format, vlrs=records)
+    classify(src, tmp_path / "b.laz")
+    for path in (src, tmp_path / "b.laz"):
+        crs, warnings = header_crs(read_header(path))
+        assert Units.of(crs).vertical_m == wanted[point_format == 6]
+        assert bool(warnings) == (path == src and wanted[0] != wanted[1])
+    for record in laspy.read(tmp_path / "b.laz").header.vlrs:
+        if record.record_id == 2112:
+            assert Units.of(CRS(record.string)).vertical_m == wanted[point_format == 6]
 
 
 def test_the_record_of_liblas_takes_no_heights_from_keys(tmp_path: Path) -> None:

@@ -30,7 +30,13 @@ from spl_batch.formats.crs import (
     vertical,
     with_vertical,
 )
-from spl_batch.formats.heights import NAVD88, completed, heights_fault
+from spl_batch.formats.heights import (
+    NAVD88,
+    completed,
+    heights_fault,
+    states_heights,
+    with_heights_of,
+)
 from spl_batch.formats.las.header import WAVEFORM_FORMATS
 from spl_batch.formats.las.reader import LasFacts
 from spl_batch.formats.reprojection import CELL_KEY, Reprojection
@@ -148,16 +154,18 @@ def with_heights(
     if crs is None:
         return None, list(files), []
     stated = None if settings.crs is None else parse_crs(settings.crs, "survey.crs")
-    named = None if stated is None else vertical(stated)
+    named = stated if stated is not None and states_heights(stated) else None
     if settings.vertical_crs is not None:
         stated = with_vertical(crs, settings.vertical_crs, "survey.vertical_crs")
     own = [(facts, completed(facts.crs, stated)) for facts in files if facts.crs is not None]
     if named is None:
         unit_m = _of_most((facts, Units.of(found).vertical_m) for facts, found in own)
         named = _of_most(
-            (facts, vertical(found)) for facts, found in own if Units.of(found).vertical_m == unit_m
+            (facts, vertical(found) or found)
+            for facts, found in own
+            if states_heights(found) and Units.of(found).vertical_m == unit_m
         )
-    whole = crs if named is None else compound(crs, named)
+    whole = crs if named is None else with_heights_of(crs, named)
 
     def differ(facts: LasFacts) -> str:
         if facts.crs is None or not facts.n_points:
