@@ -100,7 +100,7 @@ def test_sums_of_the_fit_are_those_of_its_terms(seed: int) -> None:
     tau, channel = rng.uniform(-1, 1, n), rng.integers(0, 5, n).astype(np.uint8)
     place = rng.normal(size=(n, 2))
     matrix, right = np.empty((3, TERMS, TERMS)), np.empty((3, TERMS, 2))
-    normal_equations(start, tau, channel, place, pattern, matrix, right)
+    normal_equations((start, tau, channel, place), pattern, matrix, right)
     for b, (low, high) in enumerate(pairwise(start)):
         rows = np.arange(low, high)[~np.isnan(pattern[b, channel[low:high], 0])]
         t, (gx, gy) = tau[rows], pattern[b, channel[rows]].T
