@@ -1,5 +1,6 @@
 """CRS of GeoTIFF keys, by which older LAS files name theirs."""
 
+from functools import lru_cache
 from io import BytesIO
 from typing import Final
 
@@ -33,8 +34,9 @@ _SOME_HEIGHTS: Final = CRS.from_wkt('VERT_CS["unknown",VERT_DATUM["unknown",2005
 """What a unit of heights alone tells of."""
 
 
+@lru_cache(maxsize=64)
 def crs_from_geotiff(directory: bytes, doubles: bytes, text: bytes) -> CRS | None:
-    """CRS of GeoTIFF keys, user-defined ones too; none where they define none.
+    """CRS of GeoTIFF keys, of which a survey has few, user-defined ones too; none without any.
 
     Only GDAL reads such keys completely, but for units: it takes local CRS for metres, and ignores
     the vertical CRS beside a unit of heights. Records 34735 to 34737, of which the last two may be
