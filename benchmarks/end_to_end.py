@@ -16,7 +16,6 @@ import json
 import subprocess
 import sys
 import time
-from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,6 +23,7 @@ import yaml
 
 from benchmarks.peers import print_ratios
 from spl_batch.airborne.precompile import compile_share
+from spl_batch.engine.watch.status import LOG, seconds
 
 SIDE_M: Final = 800.0
 """Side of the square, by default [m]."""
@@ -88,10 +88,10 @@ def run(workflow: Path, workers: int, memory: str) -> tuple[dict[str, float], fl
 
 def chain_s(output: Path) -> float:
     """Wall time from when workers were ready to the end of the chain, the report left out [s]."""
-    events = map(json.loads, (output / "log.jsonl").read_text(encoding="utf-8").splitlines())
+    events = map(json.loads, (output / LOG).read_text(encoding="utf-8").splitlines())
     begin, end = 0.0, 0.0
     for event in events:
-        at = datetime.fromisoformat(event["time"]).timestamp()
+        at = seconds(event)
         if event["event"] == "WorkersReady":
             begin = at
         elif event["event"] == "TaskEnded" and event["kind"] not in {"reference", "accuracy"}:

@@ -17,7 +17,6 @@ import sys
 import time
 from collections import defaultdict
 from collections.abc import Iterator
-from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,6 +24,8 @@ import laspy
 import numpy as np
 import yaml
 from pyproj import CRS
+
+from spl_batch.engine.watch.status import LOG, seconds
 
 TILE_M: Final = 50.0
 PER_TILE: Final = 25
@@ -112,7 +113,7 @@ def events(log: Path) -> Iterator[dict[str, Any]]:
         for line in lines:
             if line.endswith("\n"):
                 event = json.loads(line)
-                yield event | {"at": datetime.fromisoformat(event["time"]).timestamp()}
+                yield event | {"at": seconds(event)}
 
 
 def ended(log: Path, kind: str) -> int:
@@ -163,7 +164,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     given = parser.parse_args()
     workflow = survey(given.folder, given.side_m)
-    log = given.folder / "out" / "log.jsonl"
+    log = given.folder / "out" / LOG
     cells = (given.side_m / GROUND_CELL_M) ** 2
     begun = time.time()
     run = start(workflow, given.workers, "--fresh")

@@ -102,7 +102,9 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     rates, measured = measured_rates(RATES_POINTS_PER_S, context)
     compared = sum(facts.n_points for facts in survey.inputs.reference.usable)
     work = dict.fromkeys(rates, float(points)) | {"report": float(compared)}
-    if RATES_POINTS_PER_S["denoise"] == rates["denoise"]:
+    # What a store has measured has margins, the time of its tasks and its octrees in it.
+    typical = {stage for stage, rate in rates.items() if rate == RATES_POINTS_PER_S[stage]}
+    if "denoise" in typical:
         work["denoise"] = denoised.work
     delivered = len(sources) + (tiles if workflow.outputs.tiles != "none" else 0)
     delivered += len(survey.inputs.areas)
@@ -122,12 +124,8 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
         "deliver": delivered + _rasters_and_comparisons(survey, cells),
         "report": sum(map(len, survey.inputs.reference)) + reference_tasks.squares(survey),
     }
-    # What a store has measured has the time of its tasks in it, and of its octrees.
-    alone = {
-        stage: TASK_S[stage] * tasks[stage] * (RATES_POINTS_PER_S[stage] == rates[stage])
-        for stage in rates
-    }
-    if RATES_POINTS_PER_S["deliver"] == rates["deliver"]:
+    alone = {stage: TASK_S[stage] * tasks[stage] * (stage in typical) for stage in rates}
+    if "deliver" in typical:
         alone["deliver"] += workflow.outputs.copc * points / COPC_POINTS_PER_S
     alone["report"] += ALONE_S * survey.workers
     return SurveyCost(
