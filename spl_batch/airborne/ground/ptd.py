@@ -24,7 +24,7 @@ from scipy.spatial import cKDTree
 from spl_batch.airborne.ground.multiscale.near_surface import facets_at
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.triangulation.delaunay import along_curve, empty_mesh, finite, insert
-from spl_batch.numerics.triangulation.tin import Tin, locate_one, tin_of
+from spl_batch.numerics.triangulation.tin import Tin, facet_heights, locate_one, tin_of
 
 _ROUNDS = 60
 """Rounds after which densification stops anyway; ten to twenty are usual [count]."""
@@ -279,8 +279,8 @@ def heights_above(
         Shortest edge of the point's facet, horizontally [m].
     """
     facet = facets_at(tin, x, y)
-    (a, b, c), (x0, y0, _) = tin.planes[facet].T, tin.xyz[tin.facets[facet, 0]].T
-    distance = (z - (c + a * (x - x0) + b * (y - y0))) / np.sqrt(1.0 + a * a + b * b)
+    a, b, _ = tin.planes[facet].T
+    distance = (z - facet_heights(tin, facet, x, y)) / np.sqrt(1.0 + a * a + b * b)
     corners = tin.xyz[tin.facets, :2]
     edge = np.hypot(*(corners - np.roll(corners, 1, axis=1)).transpose(2, 0, 1)).min(axis=1)[facet]
     distance[facet < 0], edge[facet < 0] = np.nan, np.nan

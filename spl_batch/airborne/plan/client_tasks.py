@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 import shapely
 
+from spl_batch.airborne.catalogue.delivered_files import REPROJECTED
 from spl_batch.airborne.context import reprojection
 from spl_batch.airborne.plan.space_tasks import aligned, delivered_rasters, knows_reflectance
 from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_bounds
@@ -40,7 +41,7 @@ def client_tiles(survey: Survey) -> Iterator[Task]:
             "name": one.name,
             "area": shapely.to_wkb(one.shape, hex=True),
             "sources": [[key, delivered[key].facts["name"]] for key in keys],
-            "clouds": "reprojected/laz" if elsewhere else "laz",
+            "clouds": f"{REPROJECTED}/laz" if elsewhere else "laz",
             "rasters": rasters,
             "in_another_unit": elsewhere,
             "aligned": bool(aligned(survey)),
@@ -70,7 +71,7 @@ def reprojected_files(survey: Survey) -> Iterator[Task]:
         return
     for key, receipt in sorted(survey.of("deliver_file").items()):
         name = receipt.facts["name"]
-        args = {"source": f"laz/{name}", "target": f"reprojected/laz/{name}"}
+        args = {"source": f"laz/{name}", "target": f"{REPROJECTED}/laz/{name}"}
         yield Task("reproject_file", key, args, (("deliver_file", key),), receipt.points)
 
 
@@ -82,7 +83,7 @@ def reprojected_rasters(survey: Survey) -> Iterator[Task]:
         if made.delivered and made.name in survey.of("mosaic"):
             args = {
                 "source": f"{made.name}.tif",
-                "target": f"reprojected/{made.name}.tif",
+                "target": f"{REPROJECTED}/{made.name}.tif",
                 "above_datum": made.name in HEIGHTS,
                 "meaning": made.meaning,
                 "unit": made.unit,

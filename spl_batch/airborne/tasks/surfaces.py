@@ -19,7 +19,7 @@ from spl_batch.airborne.diagnostics.terrain_sigma import terrain_facts
 from spl_batch.airborne.hydro.flattening import Banks, flatten, water_heights
 from spl_batch.airborne.products import surface_points
 from spl_batch.airborne.products import surface_rasters as surfacing
-from spl_batch.airborne.products.cell_values import cell_number, shape_of
+from spl_batch.airborne.products.cell_values import cell_number, north_up, shape_of
 from spl_batch.airborne.products.reflectance import reflectance
 from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart
 from spl_batch.airborne.pulses.first_returns import first_returns
@@ -208,8 +208,8 @@ def _noise(table: PointTable, core: Bounds, size: int) -> NDArray[np.float32]:
     # Sums in 64 bits of so few values of 24 bits each are exact: their order does not count.
     total = np.bincount(cell, value, shape[0] * shape[1])
     count = np.bincount(cell, minlength=shape[0] * shape[1])
-    mean = np.where(count > 0, total / np.maximum(count, 1), NODATA)
-    return np.ascontiguousarray(mean.reshape(shape)[::-1], dtype=np.float32)
+    mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    return north_up(mean.reshape(shape))
 
 
 def _median(noise: NDArray[np.float32]) -> float | None:

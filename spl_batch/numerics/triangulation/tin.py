@@ -255,10 +255,26 @@ def interpolate(tin: Tin, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDA
     """
     facet = np.empty(len(x), dtype=np.int32)
     locate(tin.xyz, tin.facets, tin.neighbours, x, y, facet)
+    height = facet_heights(tin, facet, x, y)
+    height[facet < 0] = np.nan
+    return height
+
+
+def facet_heights(
+    tin: Tin, facet: NDArray[np.int32], x: NDArray[np.float64], y: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Heights of the planes of triangles at places: (n,) float64 [m]; of any where there is none.
+
+    Parameters
+    ----------
+    facet : (n,) int32
+        Triangle of each place.
+    x, y : (n,) float64
+        Places [m].
+    """
     a, b, c = tin.planes[facet].T
     x0, y0, _ = tin.xyz[tin.facets[facet, 0]].T
     height: NDArray[np.float64] = c + a * (x - x0) + b * (y - y0)
-    height[facet < 0] = np.nan
     return height
 
 

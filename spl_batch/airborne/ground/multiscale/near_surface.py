@@ -11,6 +11,7 @@ from spl_batch.airborne.ground.point_spacing import Blocks
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.triangulation.tin import (
     Tin,
+    facet_heights,
     first_of,
     locate_one,
     triangulate,
@@ -85,8 +86,7 @@ def near_surface(surface: Surface, places: Place, asked: Mask) -> Near:
     if tin is not None:
         facet = facets_at(tin, x, y)
         steep = np.hypot(*surface.slopes[tin.facets].mean(axis=1).T)
-        (a, b, c), (x0, y0, _) = tin.planes[facet].T, tin.xyz[tin.facets[facet, 0]].T
-        off, slope = z - (c + a * (x - x0) + b * (y - y0)), steep[facet]
+        off, slope = z - facet_heights(tin, facet, x, y), steep[facet]
     beyond = np.flatnonzero(facet < 0)
     if len(beyond):
         place = np.column_stack([x[beyond], y[beyond]])
