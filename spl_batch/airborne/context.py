@@ -1,6 +1,7 @@
 """Context of a run on an airborne survey."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,12 @@ def reprojection(outputs: OutputSettings, crs: CRS | None) -> Reprojection | Non
     """
     if outputs.crs is None and outputs.units is None and outputs.cell is None:
         return None
-    found = Reprojection(crs, outputs.crs, outputs.units)
+    found = _between(crs, outputs.crs, outputs.units)
     same = outputs.crs is None and outputs.cell is None and not found.moves_points
     return None if same else found
+
+
+@lru_cache(maxsize=8)
+def _between(crs: CRS | None, named: str | None, unit: str | None) -> Reprojection:
+    """The one of a run: tasks share it, as PROJ takes 10 to 200 ms to name its CRS."""
+    return Reprojection(crs, named, unit)

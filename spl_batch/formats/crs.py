@@ -1,5 +1,6 @@
 """Coordinate reference systems: from LAS records, and whether they suit this work."""
 
+import re
 import warnings
 from collections.abc import Sequence
 from functools import lru_cache
@@ -19,8 +20,13 @@ WKT_KEY: Final = ("LASF_Projection", 2112)
 LIBLAS_KEY: Final = ("liblas", 2112)
 """Records of WKT: that of LAS, and that which libLAS and early PDAL wrote beside GeoTIFF keys."""
 
-NAMELESS: Final = ("", "unknown", "unnamed")
-"""Names that GDAL gives to a vertical CRS of which keys have the unit only."""
+_NAMELESS: Final = re.compile(r"$|unknown|unnamed|user.defined", re.IGNORECASE)
+"""How names begin that GDAL, PROJ and others give to what has none: of a vertical CRS of which keys
+have the unit only, of its datum."""
+
+REPROJECT: Final = "reproject the files to"
+NAME: Final = "name"
+"""What to do about a CRS that does not serve: one that files have, and one that a key names."""
 
 _SHORT: Final = {METRE: "m", FOOT: "ft", US_FOOT: "ftUS"}
 """Units as EPSG's names of CRS have them."""
@@ -39,20 +45,30 @@ _UTM_LATITUDE: Final = 84.0
 """Latitude beyond which UTM has no zones [degrees]."""
 
 
-def parse_crs(text: str, key: str) -> CRS:
-    """CRS that a user names.
+def parse_crs(text: str, key: str, *, heights: bool = False) -> CRS:
+    """CRS of places that a user names, or of ``heights`` alone.
 
     ``text``: anything that PROJ takes: ``EPSG:32615``, WKT.
 
     Raises
     ------
     WorkflowError
-        If there is no such CRS.
+        If there is no such CRS, or it is one of the other kind.
     """
+    example = "EPSG:5703" if heights else "EPSG:32615"
     try:
-        return CRS.from_user_input(text)
+        found = CRS.from_user_input(text)
     except CRSError:
-        raise WorkflowError(f"{key}: {text!r} is not a known CRS; write e.g. EPSG:32615") from None
+        raise WorkflowError(f"{key}: {text!r} is not a known CRS; write e.g. {example}") from None
+    alone = found.is_vertical and not found.is_compound
+    if heights and not alone:
+        raise WorkflowError(f"{key}: {crs_name(found)} is no vertical CRS; write e.g. {example}")
+    if alone and not heights:
+        raise WorkflowError(
+            f"{key}: {crs_name(found)} is a CRS of heights alone; write that of places with it, "
+            f"e.g. {example}+5703"
+        )
+    return found
 
 
 def projected_crs(text: str | None, key: str, faults: list[str]) -> CRS | None:
@@ -70,7 +86,7 @@ def projected_crs(text: str | None, key: str, faults: list[str]) -> CRS | None:
     units = Units.of(crs)
     unit = units.vertical if units.horizontal_m == 1.0 else units.horizontal
     other = [f"CRS {crs_name(crs)} is in {in_words(unit)}, not in metres: name one that is"]
-    found = crs_problems(crs) or other * (not units.are_metres)
+    found = crs_problems(crs, NAME) or other * (not units.are_metres)
     faults += [f"{key}: {problem}" for problem in found]
     return crs
 
@@ -102,6 +118,11 @@ def _with_its_code(crs: CRS) -> CRS:
     return flat if heights is None else compound(flat, heights)
 
 
+def is_nameless(name: str) -> bool:
+    """Whether a name of a CRS or a datum says nothing."""
+    return _NAMELESS.match(name) is not None
+
+
 def horizontal(crs: CRS) -> CRS:
     """The CRS without its heights: the horizontal part of a compound or 3D one."""
     if crs.is_compound:
@@ -119,38 +140,6 @@ def vertical(crs: CRS) -> CRS | None:
     parts = crs.sub_crs_list if crs.is_compound else []
     found = next((part for part in parts if part.is_vertical), None)
     return found.source_crs if found is not None and found.is_bound else found
-
-
-def with_vertical(crs: CRS | None, text: str, key: str) -> CRS:
-    """A compound CRS of a horizontal one and the vertical one that a user names.
-
-    ``text``: anything that PROJ takes as a vertical CRS: ``EPSG:5703``.
-
-    Raises
-    ------
-    WorkflowError
-        If it is no vertical CRS, contradicts the files, or there is none to complete.
-    """
-    named = parse_crs(text, key)
-    if not named.is_vertical:
-        raise WorkflowError(f"{key}: {crs_name(named)} is no vertical CRS; write e.g. EPSG:5703")
-    if turned := _turned(named):
-        raise WorkflowError(f"{key}: {turned}")
-    if crs is None:
-        raise WorkflowError(f"{key}: the files have no CRS that it could complete: set survey.crs")
-    if len(crs.axis_info) > 2 and not crs.is_compound:
-        raise WorkflowError(
-            f"{key}: the files say heights above the ellipsoid by {crs_name(crs)}, not "
-            f"{crs_name(named)}; leave the key out, or correct the files"
-        )
-    found = vertical(crs)
-    if found is not None and not same_heights(found, named):
-        raise WorkflowError(
-            f"{key}: the files say {crs_name(found)}, not {crs_name(named)}; leave the key out, or "
-            "correct the files"
-        )
-    known = found is not None and found.name not in NAMELESS
-    return crs if known else compound(crs, named)
 
 
 def compound(crs: CRS, heights: CRS) -> CRS:
@@ -179,7 +168,7 @@ def in_unit(crs: CRS, name: str) -> CRS:
     content.pop("id", None)
     for axis in content["coordinate_system"]["axis"]:
         axis["unit"] = {"type": "LinearUnit", "name": name, "conversion_factor": metres_in(name)}
-    if crs.name not in NAMELESS and not crs.is_engineering:
+    if not is_nameless(crs.name) and not crs.is_engineering:
         for short in _SHORT.values():
             content["name"] = content["name"].removesuffix(f" ({short})")
         content["name"] += "" if name == METRE else f" ({_SHORT.get(name, name)})"
@@ -189,23 +178,18 @@ def in_unit(crs: CRS, name: str) -> CRS:
     return known if known.equals(made, ignore_axis_order=True) else made
 
 
-def same_heights(a: CRS, b: CRS) -> bool:
-    """Whether two vertical CRS have the same datum and unit, whatever their names.
-
-    Files often name the model of a geoid beside the datum that it realises, or a unit alone.
-    """
-    if a.equals(b) or (a.to_epsg() is not None and a.to_epsg() == b.to_epsg()):
-        return True
-    if Units.of(a).vertical_m != Units.of(b).vertical_m:
-        return False
-    datums = [None if crs.datum is None else crs.datum.name for crs in (a, b)]
-    alike = datums[0] is not None and datums[0] == datums[1]
-    return alike or bool({a.name, b.name} & {*NAMELESS})
-
-
 def no_survey_crs(found: CRS) -> str:
     """Fault of a file with a CRS beside a survey without one."""
     return f"is in {crs_name(found)}, the survey has no CRS: name it in survey.crs"
+
+
+def above_ellipsoid(crs: CRS, unit: str) -> CRS:
+    """The horizontal part of a CRS with heights above its ellipsoid, in a unit by PROJ's name."""
+    content = horizontal(crs).to_3d().to_json_dict()
+    content.pop("id", None)
+    length = {"type": "LinearUnit", "name": unit, "conversion_factor": metres_in(unit)}
+    content["coordinate_system"]["axis"][2]["unit"] = length
+    return CRS.from_json_dict(content)
 
 
 def same_crs(a: CRS, b: CRS) -> bool:
@@ -217,11 +201,11 @@ def same_crs(a: CRS, b: CRS) -> bool:
     return code is not None and code == second.to_epsg()
 
 
-def other_crs(found: CRS, survey: CRS) -> str:
-    """Sentence about a CRS that is not the survey's."""
-    text = f"CRS {found.name!r} is not the survey's {survey.name!r}"
+def other_crs(found: CRS, survey: CRS, whose: str = "the survey's") -> str:
+    """Sentence about a CRS that is not the survey's, or another's: ``reference.crs``."""
+    text = f"CRS {found.name!r} is not {whose} {survey.name!r}"
     if found.name == survey.name:
-        text = f"CRS {found.name!r} has other parameters than the survey's of that name"
+        text = f"CRS {found.name!r} has other parameters than {whose} of that name"
     return f"{text} ({apart})" if (apart := differences(found, survey)) else text
 
 
@@ -256,51 +240,51 @@ def crs_name(crs: CRS) -> str:
     return f"{crs.name!r}" if code is None else f"{crs.name!r} (EPSG:{code})"
 
 
-def crs_problems(crs: CRS) -> list[str]:
-    """Why coordinates in a CRS cannot be worked with: a sentence for each problem, its remedy."""
-    if crs.is_geocentric:
-        fault = f"CRS {crs_name(crs)} is geocentric, coordinates must be projected"
-        remedy = "reproject the files, e.g. to UTM; if they are projected, name survey.crs"
-        return [f"{fault}: {remedy}"]
+def crs_problems(crs: CRS, remedy: str = REPROJECT) -> list[str]:
+    """Why coordinates in a CRS cannot be worked with: a sentence for each problem, its remedy.
+
+    ``remedy``: :data:`REPROJECT` of a CRS that files have, :data:`NAME` of one that a key names.
+    """
     flat = horizontal(crs)
-    if flat.is_geographic:
-        fault = f"CRS {crs_name(crs)} is geographic (degrees), coordinates must be projected"
-        return [f"{fault}: reproject the files to a projected CRS, e.g. UTM"]
+    if crs.is_geocentric or flat.is_geographic:
+        kind = "geocentric" if crs.is_geocentric else "geographic (degrees)"
+        fault = f"CRS {crs_name(crs)} is {kind}, coordinates must be projected: "
+        written = crs.is_geocentric and remedy == REPROJECT
+        more = "; if they are projected, name survey.crs" if written else ""
+        return [f"{fault}{remedy} a projected CRS, e.g. UTM of the region{more}"]
     units = Units.of(crs)
     faults = [
-        f"CRS {crs_name(crs)} is in {unit}, which is no unit of metres or feet: reproject the files"
+        f"CRS {crs_name(crs)} is in {unit}, which is no unit of metres or feet: {remedy} one that "
+        "is in them"
         for unit in dict.fromkeys((units.horizontal, units.vertical))
         if not 0.0 < (metres_in(unit) or 0.0) <= 1.0
     ]
     if _is_world_mercator(flat):
-        faults.append(_stretches(crs, "1/cos(latitude)"))
-    if turned := _turned(crs):
-        faults.append(turned)
+        faults.append(_stretches(crs, "1/cos(latitude)", remedy))
+    turned = [f"{a.name} {a.direction}" for a in crs.axis_info if a.direction in _TURNED]
+    if turned:
+        faults.append(
+            f"CRS {crs_name(crs)} counts {' and '.join(turned)}: {remedy} one that counts east, "
+            "north and up"
+        )
     return faults
 
 
-def _turned(crs: CRS) -> str:
-    """What is wrong with a CRS of depths, or one that counts to the west; empty for others."""
-    turned = [f"{a.name} {a.direction}" for a in crs.axis_info if a.direction in _TURNED]
-    if not turned:
-        return ""
-    return (
-        f"CRS {crs_name(crs)} counts {' and '.join(turned)}: reproject the files to a CRS that"
-        " counts east, north and up"
-    )
-
-
-def _stretches(crs: CRS, by: str) -> str:
+def _stretches(crs: CRS, by: str, remedy: str) -> str:
     return (
         f"CRS {crs_name(crs)} stretches lengths by {by}, so that areas and densities would be"
-        " wrong: reproject the files to one of the region, e.g. UTM"
+        f" wrong: {remedy} one of the region, e.g. UTM"
     )
 
 
-def stretch_problem(crs: CRS, places_m: ArrayLike) -> list[str]:
-    """Why a projection is not for these places, (n, 2) [m]; none where it is."""
+def stretch_problem(crs: CRS, places_m: ArrayLike, remedy: str = REPROJECT) -> list[str]:
+    """Why a projection is not for these places, (n, 2) [m]; none where it is.
+
+    ``remedy``: as of :func:`crs_problems`.
+    """
     lengths, _ = scale_there(crs, places_m)
-    return [_stretches(crs, f"{lengths:.2f}")] if abs(lengths - 1.0) > LENGTHS_APART else []
+    apart = abs(lengths - 1.0) > LENGTHS_APART
+    return [_stretches(crs, f"{lengths:.2f}", remedy)] if apart else []
 
 
 def scale_there(crs: CRS, places_m: ArrayLike) -> tuple[float, float]:
@@ -369,10 +353,12 @@ def like_degrees(corners: Sequence[Sequence[float]], key: str) -> str:
     )
 
 
+@lru_cache(maxsize=64)
 def best_transformer(source: CRS, target: CRS) -> Transformer:
     """Transformation in the order easting, northing, by the best operation that PROJ knows.
 
-    Without a grid PROJ takes the next best one, metres off, and keeps silent.
+    Without a grid PROJ takes the next best one, metres off, and keeps silent. A run has few pairs
+    of CRS, and each takes PROJ 20 to 50 ms.
 
     Raises
     ------

@@ -11,7 +11,8 @@ from pyproj.datadir import get_data_dir, get_user_data_dir  # type: ignore[attr-
 from pyproj.exceptions import ProjError
 
 from spl_batch.errors import WorkflowError
-from spl_batch.formats.crs import crs_name, horizontal, vertical, with_vertical
+from spl_batch.formats.crs import crs_name, horizontal, vertical
+from spl_batch.formats.heights import heights_above, is_above_ellipsoid, with_vertical
 from spl_batch.formats.units import Units, in_words
 
 KEY: Final = "outputs.geoid.grid"
@@ -50,11 +51,10 @@ class Geoid:
     def __init__(self, grid: str, file: Path, crs: CRS | None) -> None:
         if crs is None or crs.geodetic_crs is None:
             raise WorkflowError(f"{KEY}: the survey has no CRS on earth to look it up by")
-        datum = vertical(crs)
-        if datum is not None and "ellipsoid" not in datum.name.lower():
+        if heights_above(crs) and not is_above_ellipsoid(crs):
             raise WorkflowError(
-                f"{KEY}: heights are already {crs_name(datum)}, not above the ellipsoid: leave "
-                "outputs.geoid out"
+                f"{KEY}: heights are already {crs_name(vertical(crs) or crs)}, not above the "
+                "ellipsoid: leave outputs.geoid out"
             )
         # PROJ takes a list, and passes over what is marked as optional.
         if set(grid) & set('@,"'):

@@ -15,7 +15,15 @@ from pyproj.exceptions import CRSError
 from rasterio.errors import RasterioError, RasterioIOError
 from rasterio.io import MemoryFile
 
-from spl_batch.formats.crs import NAMELESS, compound, crs_from_wkt, horizontal, in_unit, vertical
+from spl_batch.formats.crs import (
+    above_ellipsoid,
+    compound,
+    crs_from_wkt,
+    horizontal,
+    in_unit,
+    is_nameless,
+    vertical,
+)
 from spl_batch.formats.units import METRE, Units, metres_in
 
 GEO_KEYS: Final = (
@@ -59,7 +67,7 @@ def crs_from_geotiff(directory: bytes, doubles: bytes, text: bytes) -> CRS | Non
         return flat
     whole = compound(flat, _in_unit(heights, unit))
     # A unit of heights alone names no vertical CRS.
-    return flat if heights.name in NAMELESS and Units.of(whole).are_metres else whole
+    return flat if is_nameless(heights.name) and Units.of(whole).are_metres else whole
 
 
 def _vertical_crs(code: int) -> CRS | None:
@@ -82,13 +90,7 @@ def _in_unit(crs: CRS, code: int | None) -> CRS:
     deep = len(crs.axis_info) > 2
     if metres in {1.0, own.vertical_m if deep or crs.is_vertical else own.horizontal_m}:
         return crs
-    if not deep:
-        return in_unit(crs, name)
-    content = crs.to_json_dict()
-    content.pop("id", None)
-    unit = {"type": "LinearUnit", "name": name, "conversion_factor": metres}
-    content["coordinate_system"]["axis"][2]["unit"] = unit
-    return CRS.from_json_dict(content)
+    return above_ellipsoid(crs, name) if deep else in_unit(crs, name)
 
 
 def _by_gdal(entries: NDArray[np.uint16], doubles: bytes, text: bytes) -> CRS | None:

@@ -1,48 +1,134 @@
 """Heights of a file beside those of a survey: in which unit, above what, and what nothing tells.
 
 A horizontal CRS states no unit of heights: these are taken as the survey's where eastings are in
-that unit, and nowhere else.
+that unit, and nowhere else. A vertical CRS whose datum has no name states the unit alone: a user
+may name its datum, in that unit, and without that nothing is transformed from it or to it.
 """
 
 from typing import Final
 
 from pyproj import CRS
 
-from spl_batch.formats.crs import compound, crs_name, horizontal, same_crs, same_heights, vertical
+from spl_batch.errors import WorkflowError
+from spl_batch.formats.crs import (
+    NAME,
+    above_ellipsoid,
+    compound,
+    crs_name,
+    crs_problems,
+    horizontal,
+    is_nameless,
+    parse_crs,
+    same_crs,
+    vertical,
+)
 from spl_batch.formats.units import Units, in_words
 
 NAVD88: Final = "EPSG:6360 states US survey feet, EPSG:8228 feet, EPSG:5703 metres"
 """Codes of heights above one datum, by which deliveries in feet name the unit."""
 
 
-def other_heights(found: CRS, survey: CRS) -> str:
-    """What heights of a CRS are, where they are not the survey's; empty where they may be."""
-    if not (states_heights(found) and states_heights(survey)):
+def with_vertical(crs: CRS | None, text: str, key: str) -> CRS:
+    """A compound CRS of a horizontal one and the vertical one that a user names.
+
+    ``text``: anything that PROJ takes as a vertical CRS: ``EPSG:5703``.
+
+    Raises
+    ------
+    WorkflowError
+        If it is no vertical CRS, contradicts the files, or there is none to complete.
+    """
+    named = parse_crs(text, key, heights=True)
+    if problems := crs_problems(named, NAME):
+        raise WorkflowError(f"{key}: {problems[0]}")
+    if crs is None:
+        raise WorkflowError(f"{key}: the files have no CRS that it could complete: set survey.crs")
+    if len(crs.axis_info) > 2 and not crs.is_compound:
+        raise WorkflowError(
+            f"{key}: the files say heights above the ellipsoid by {crs_name(crs)}, not "
+            f"{crs_name(named)}; leave the key out, or correct the files"
+        )
+    found = vertical(crs)
+    in_unit = found is None or Units.of(found).vertical_m == Units.of(named).vertical_m
+    if found is not None and not (same_heights(found, named) if names_datum(crs) else in_unit):
+        raise WorkflowError(
+            f"{key}: the files say {crs_name(found)}, not {crs_name(named)}; leave the key out, or "
+            "correct the files"
+        )
+    return crs if names_datum(crs) else compound(crs, named)
+
+
+def same_heights(a: CRS, b: CRS) -> bool:
+    """Whether two vertical CRS have the same unit, and the same datum as far as they name one.
+
+    Files often name the model of a geoid beside the datum that it realises, or a unit alone. What
+    has a name, but no datum, is the same as what has that name.
+    """
+    # PROJ takes two datums without names for one.
+    if _datum(a) and (a.equals(b) or (a.to_epsg() is not None and a.to_epsg() == b.to_epsg())):
+        return True
+    above = _above(a), _above(b)
+    alike = above[0] == above[1] or not all(above)
+    return alike and Units.of(a).vertical_m == Units.of(b).vertical_m
+
+
+def _datum(heights: CRS) -> str:
+    """Name of a vertical CRS's datum; empty where it has none."""
+    name = "" if heights.datum is None else heights.datum.name
+    return "" if is_nameless(name) else name
+
+
+def _above(heights: CRS) -> str:
+    """What heights of a vertical CRS are above: its datum, else by its own name; empty without."""
+    return _datum(heights) or ("" if is_nameless(heights.name) else heights.name)
+
+
+def heights_above(crs: CRS) -> str:
+    """What a CRS says that heights are above, by name; empty where it states their unit at most."""
+    heights = vertical(crs)
+    deep = "the ellipsoid" if len(crs.axis_info) > 2 else ""
+    return deep if heights is None else _above(heights)
+
+
+def names_datum(crs: CRS) -> bool:
+    """Whether PROJ knows what heights are above: the ellipsoid, or a datum with a name."""
+    heights = vertical(crs)
+    return len(crs.axis_info) > 2 if heights is None else bool(_datum(heights))
+
+
+def other_heights(found: CRS, survey: CRS, whose: str = "the survey's") -> str:
+    """What heights of a CRS are, where they are not the survey's; empty where they may be.
+
+    ``whose``: in place of the survey's, as of :func:`~spl_batch.formats.crs.other_crs`.
+    """
+    if not (heights_above(found) and heights_above(survey)):
         return ""
     one, other = vertical(found), vertical(survey)
-    above = [_above_ellipsoid(crs) for crs in (found, survey)]
+    above = [is_above_ellipsoid(crs) for crs in (found, survey)]
     if all(above) or (one is not None and other is not None and same_heights(one, other)):
         return ""
     mine, ours = (
         f"above the ellipsoid by {crs_name(crs)}" if high else crs_name(vertical(crs) or crs)
         for crs, high in zip((found, survey), above, strict=True)
     )
-    return f"heights are {mine}, the survey's {ours}"
+    return f"heights are {mine}, {whose} {ours}"
 
 
 def with_heights_of(crs: CRS, stating: CRS) -> CRS:
-    """A horizontal CRS with heights of a vertical one, or of another of the same places.
+    """A horizontal CRS with heights of a vertical one, or of another that states some.
 
-    Heights above the ellipsoid have no CRS of their own: then it is that other one itself.
+    Heights above the ellipsoid have no CRS of their own: then it has a third axis.
     """
     heights = stating if len(stating.axis_info) == 1 else vertical(stating)
-    return stating if heights is None else compound(crs, heights)
+    if heights is not None:
+        return compound(crs, heights)
+    own = same_crs(crs, stating)
+    return stating if own else above_ellipsoid(crs, Units.of(stating).vertical)
 
 
-def _above_ellipsoid(crs: CRS) -> bool:
-    """Whether heights that a CRS states are above the ellipsoid, as GDAL's vertical CRS say too."""
-    datum = vertical(crs)
-    return datum is None or "ellipsoid" in datum.name.lower()
+def is_above_ellipsoid(crs: CRS) -> bool:
+    """Whether a CRS says that heights are above the ellipsoid, as GDAL's vertical CRS say too."""
+    return "ellipsoid" in heights_above(crs).lower()
 
 
 def states_heights(crs: CRS) -> bool:
@@ -52,9 +138,10 @@ def states_heights(crs: CRS) -> bool:
 
 def completed(found: CRS, stated: CRS | None) -> CRS:
     """CRS of a file, with the heights that a user states for it where it names none itself."""
-    if stated is None or not states_heights(stated) or states_heights(found):
+    if stated is None or not states_heights(stated) or not same_crs(found, stated):
         return found
-    return stated if same_crs(found, stated) else found
+    in_unit = Units.of(found).vertical_m == Units.of(stated).vertical_m
+    return found if names_datum(found) or (states_heights(found) and not in_unit) else stated
 
 
 def heights_ratio(found: CRS, survey: CRS) -> float | None:
@@ -81,10 +168,10 @@ def unknown_unit(found: CRS, survey: CRS, remedy: str) -> str:
     )
 
 
-def heights_fault(found: CRS, survey: CRS, remedy: str) -> str:
+def heights_fault(found: CRS, survey: CRS, remedy: str, whose: str = "the survey's") -> str:
     """Why heights of a file cannot be taken as the survey's, its remedy; empty where they can.
 
-    ``remedy``: as of :func:`unknown_unit`.
+    ``remedy``: as of :func:`unknown_unit`. ``whose``: as of :func:`other_heights`.
     """
     ratio = heights_ratio(found, survey)
     if ratio is None:
@@ -92,8 +179,12 @@ def heights_fault(found: CRS, survey: CRS, remedy: str) -> str:
     if ratio != 1.0:
         unit, ours = (in_words(Units.of(crs).vertical) for crs in (found, survey))
         return (
-            f"its heights are in {unit} by {crs_name(found)}, the survey's in {ours}: transform it,"
+            f"its heights are in {unit} by {crs_name(found)}, {whose} in {ours}: transform it,"
             " its heights as well"
         )
-    others = other_heights(found, survey)
-    return f"its {others}: transform it" if others else ""
+    others = other_heights(found, survey, whose)
+    if not others:
+        return ""
+    nameless = names_datum(survey) and not names_datum(found)
+    same = f"; its datum has no name, if it is the survey's {remedy} EPSG:...+..."
+    return f"its {others}: transform it{same if nameless else ''}"

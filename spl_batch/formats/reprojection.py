@@ -1,6 +1,7 @@
 """Delivered clouds and rasters in another CRS or unit, places by PROJ, heights too where named."""
 
 from collections.abc import Iterator
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,21 +18,20 @@ from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.crs import (
     LIBLAS_KEY,
-    NAMELESS,
+    NAME,
     WKT_KEY,
     best_transformer,
-    compound,
     crs_name,
     crs_problems,
     horizontal,
     in_unit,
     parse_crs,
     same_crs,
-    same_heights,
     stretch_problem,
     vertical,
 )
 from spl_batch.formats.geotiff_keys import GEO_KEYS
+from spl_batch.formats.heights import names_datum, same_heights, states_heights, with_heights_of
 from spl_batch.formats.las.chunks import LASZIP_KEY, RecordReader
 from spl_batch.formats.las.frame import Frame, preamble, wkt_vlr, write_laz
 from spl_batch.formats.las.header import WKT_BIT, read_header
@@ -65,8 +65,9 @@ Places = NDArray[np.float64]
 class Reprojection:
     """From the CRS of a survey to one that a user names, or to the same in another unit.
 
-    Heights change where both name a vertical CRS; without one in the target they stay above what
-    they are, in the survey's unit unless one is named.
+    Heights change where both name a vertical CRS, or the ellipsoid of another datum; without one in
+    the target they stay above what they are, in the survey's unit unless one is named. What PROJ
+    needs for it, a grid too, is asked for once points are moved or checked, not for the name.
 
     Parameters
     ----------
@@ -94,21 +95,28 @@ class Reprojection:
             )
         named = named or survey
         mine, wanted = vertical(survey), vertical(named)
-        unknown = mine is None or (mine.name in NAMELESS and named is not survey)
-        if wanted is not None and unknown:
+        asked = named is not survey and states_heights(named)
+        if asked and (not names_datum(survey) or (mine is None and wanted is not None)):
             raise WorkflowError(
-                f"{KEY}: {crs_name(wanted)} is named, and nothing says what the survey's heights "
-                "are above: name it in survey.vertical_crs; from the ellipsoid to a geoid leads "
-                "outputs.geoid"
+                f"{KEY}: {crs_name(wanted or named)} is named, and nothing says what the survey's "
+                "heights are above: name it in survey.vertical_crs; from the ellipsoid to a geoid "
+                "leads outputs.geoid"
             )
-        same = mine is None or wanted is None or same_heights(mine, wanted)
-        whole = named if wanted is not None or mine is None else compound(named, mine)
+        kept = states_heights(survey) and not states_heights(named)
+        whole = with_heights_of(named, survey) if kept else named
         self.crs = whole if unit is None else in_unit(whole, NAMES[unit])
         self._to, self._survey = Units.of(self.crs), survey
         #: Units of the target's heights in one of the survey's.
         self._ratio = Units.of(survey).vertical_m / self._to.vertical_m
-        self._flat = self._transformer(horizontal(survey), horizontal(self.crs))
-        self._whole = None if same else self._transformer(survey, self.crs)
+        self._heights_too = states_heights(survey) and not _same_zero(survey, whole)
+
+    @cached_property
+    def _flat(self) -> Transformer:
+        return self._transformer(horizontal(self._survey), horizontal(self.crs))
+
+    @cached_property
+    def _whole(self) -> Transformer:
+        return self._transformer(self._survey, self.crs)
 
     def _transformer(self, source: CRS, target: CRS) -> Transformer:
         try:
@@ -125,7 +133,7 @@ class Reprojection:
     @property
     def moves_points(self) -> bool:
         """Whether clouds differ from those in the survey's CRS."""
-        heights = self._whole is not None or self._ratio != 1.0
+        heights = self._heights_too or self._ratio != 1.0
         return heights or not same_crs(self._survey, self.crs)
 
     def in_units(self, length_m: float) -> float:
@@ -136,11 +144,12 @@ class Reprojection:
         """Refuse what PROJ cannot convert; ``places``: corners of the survey, (n, 3)."""
         try:
             moved = np.concatenate([self.places(place[None]) for place in places])
+            flat = np.column_stack(self._flat.transform(*places[:, :2].T))  # of rasters and tiles
         except ProjError as error:
             reason = str(error)
         else:
-            if np.isfinite(moved).all():
-                if problem := stretch_problem(self.crs, self._to.metres(moved[:, :2])):
+            if np.isfinite(moved).all() and np.isfinite(flat).all():
+                if problem := stretch_problem(self.crs, self._to.metres(flat), NAME):
                     raise WorkflowError(f"{self.key}: {problem[0]}")
                 return
             reason = "a corner of the survey has no place there"
@@ -149,7 +158,7 @@ class Reprojection:
     def places(self, xyz: Places) -> Places:
         """Places, (n, 3), in the units of both CRS."""
         x, y, z = xyz.T
-        if self._whole is not None:
+        if self._heights_too:
             return np.column_stack(self._whole.transform(x, y, z, errcheck=len(xyz) == 1))
         x, y = self._flat.transform(x, y)
         return np.column_stack([x, y, z * self._ratio])
@@ -229,7 +238,7 @@ class Reprojection:
                 places = self._flat.transform(x, y, direction=TransformDirection.INVERSE)
                 xy = np.column_stack(places)
                 values = _sampled(src, units.metres(xy))
-                if above_datum and self._whole is not None:
+                if above_datum and self._heights_too:
                     known = np.isfinite(values)
                     xyz = np.column_stack([xy[known], values[known] / units.vertical_m])
                     values[known] = self.places(xyz)[:, 2] * self._to.vertical_m
@@ -250,12 +259,20 @@ class Reprojection:
 def _named(text: str) -> CRS:
     """CRS that a user names as a target; WorkflowError where it is none for that."""
     named = parse_crs(text, KEY)
-    faults = crs_problems(named)
+    faults = crs_problems(named, NAME)
     if not faults and not horizontal(named).is_projected:
         faults = [f"{crs_name(named)} is no CRS on earth"]
     if faults:
         raise WorkflowError("; ".join(f"{KEY}: {fault}" for fault in faults))
     return named
+
+
+def _same_zero(survey: CRS, target: CRS) -> bool:
+    """Whether heights that both state are in one unit above the same: a datum, or an ellipsoid."""
+    mine, wanted = vertical(survey), vertical(target)
+    if mine is not None and wanted is not None:
+        return same_heights(mine, wanted)
+    return mine is wanted and survey.datum == target.datum
 
 
 def _sampled(path: Path, xy_m: Places) -> Places:

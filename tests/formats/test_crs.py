@@ -11,17 +11,26 @@ from pyproj import CRS
 
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.crs import (
+    NAME,
+    REPROJECT,
+    compound,
     crs_from_wkt,
     crs_problems,
     other_crs,
+    parse_crs,
     same_crs,
-    same_heights,
     stretch_problem,
     vertical,
-    with_vertical,
 )
 from spl_batch.formats.geotiff_keys import GEO_KEYS, crs_from_geotiff
-from spl_batch.formats.heights import completed, heights_fault, heights_ratio, other_heights
+from spl_batch.formats.heights import (
+    completed,
+    heights_fault,
+    heights_ratio,
+    other_heights,
+    same_heights,
+    with_vertical,
+)
 from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.formats.units import US_FOOT, Units
 
@@ -51,9 +60,28 @@ def test_projected_crs_in_metres_or_feet_is_fine(text: str) -> None:
     ],
 )
 def test_refused(text: str, words: str) -> None:
-    problems = crs_problems(CRS.from_user_input(text))
-    assert words in problems[0]
-    assert all("\n" not in p for p in problems)
+    for remedy in (REPROJECT, NAME):
+        problems = crs_problems(CRS.from_user_input(text), remedy)
+        assert words in problems[0]
+        assert f": {remedy} " in problems[0]
+        assert (REPROJECT in problems[0]) == (remedy == REPROJECT)
+        assert "survey.crs" not in problems[0] or remedy == REPROJECT
+        assert all("\n" not in p for p in problems)
+
+
+@pytest.mark.parametrize(
+    ("text", "heights", "fault"),
+    [
+        ("EPSG:5703", False, "is a CRS of heights alone; write .* EPSG:32615.5703"),
+        ("EPSG:32615+5703", True, "is no vertical CRS"),
+        ("EPSG:32615", True, "is no vertical CRS"),
+        ("EPSG:1234567", False, "is not a known CRS; write e.g. EPSG:32615"),
+        ("EPSG:1234567", True, "is not a known CRS; write e.g. EPSG:5703"),
+    ],
+)
+def test_a_key_names_places_or_heights(text: str, fault: str, *, heights: bool) -> None:
+    with pytest.raises(WorkflowError, match=f"^key: .*{fault}"):
+        parse_crs(text, "key", heights=heights)
 
 
 @pytest.mark.parametrize(
@@ -265,6 +293,12 @@ def test_heights_are_in_a_unit_that_is_stated_or_the_surveys(
     assert heights_ratio(*map(CRS.from_user_input, (found, survey))) == ratio
 
 
+NAMELESS_FT = compound(
+    CRS("EPSG:2278"),
+    CRS(f'VERT_CS["unknown height",VERT_DATUM["unknown",2005],UNIT["ft",{1200 / 3937!r}]]'),
+).to_wkt()
+
+
 @pytest.mark.parametrize(
     ("found", "stated", "wanted"),
     [
@@ -272,6 +306,8 @@ def test_heights_are_in_a_unit_that_is_stated_or_the_surveys(
         ("EPSG:2278", "EPSG:2278+5703", "EPSG:2278+5703"),
         ("EPSG:2278+6360", "EPSG:2278+5703", "EPSG:2278+6360"),
         ("EPSG:2278", "EPSG:32140+5703", "EPSG:2278"),
+        (NAMELESS_FT, "EPSG:2278+6360", "EPSG:2278+6360"),
+        (NAMELESS_FT, "EPSG:2278+5703", NAMELESS_FT),
     ],
 )
 def test_a_user_states_what_a_file_leaves_open(found: str, stated, wanted: str) -> None:
@@ -292,6 +328,18 @@ def test_a_user_states_what_a_file_leaves_open(found: str, stated, wanted: str) 
         ("EPSG:4979", "EPSG:32615", ""),
         ("EPSG:2278", "EPSG:2278+6360", ""),
         ("EPSG:32615+5703", "EPSG:32615", ""),
+        (NAMELESS_FT, "EPSG:2278+6360", ""),
+        (NAMELESS_FT, "EPSG:2278+5703", "in US survey feet .* the survey's in metres"),
+        (
+            NAMELESS_FT.replace("unknown height", "EGM96"),
+            "EPSG:2278+6360",
+            "'EGM96'.*no name.*reme",
+        ),
+        (
+            NAMELESS_FT.replace("unknown height", "EGM96"),
+            NAMELESS_FT.replace("unknown height", "EGM08"),
+            "heights are 'EGM96', the survey's 'EGM08': transform it$",
+        ),
     ],
 )
 def test_heights_are_no_ones_to_guess(found: str, survey: str, fault: str) -> None:

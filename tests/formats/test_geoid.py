@@ -8,6 +8,7 @@ import pytest
 from pyproj import CRS, Transformer
 
 from spl_batch.errors import WorkflowError
+from spl_batch.formats.crs import compound
 from spl_batch.formats.geoid import Geoid
 
 UTM = CRS.from_epsg(32615)
@@ -41,6 +42,21 @@ def test_heights_are_those_of_the_grid_and_void_beyond(tmp_path: Path) -> None:
     assert np.isnan(geoid.heights(np.array([9e5]), np.array([3.3e6]))).all()
     assert geoid.crs_above("EPSG:5703").sub_crs_list[1].to_epsg() == 5703
     assert geoid.crs_above(None).equals(UTM)
+
+
+def test_heights_of_which_the_unit_alone_is_known_may_be_above_the_ellipsoid(
+    tmp_path: Path,
+) -> None:
+    name = write_grid(tmp_path / "a.gtx")
+    for heights, taken in (("unknown", True), ("User-Defined", True), ("County heights", False)):
+        text = f'VERT_CS["{heights}",VERT_DATUM["unknown",2005],UNIT["metre",1]]'
+        crs = compound(UTM, CRS(text))
+        if taken:
+            above = Geoid(name, tmp_path / name, crs).crs_above("EPSG:5703")
+            assert above.sub_crs_list[1].to_epsg() == 5703
+        else:
+            with pytest.raises(WorkflowError, match=f"already '{heights}'"):
+                Geoid(name, tmp_path / name, crs)
 
 
 @pytest.mark.parametrize("grid", ["nowhere.gtx", "@nowhere.gtx", "a.gtx,b.gtx", "broken.gtx"])

@@ -10,8 +10,10 @@ from pyproj import CRS, Transformer
 
 from spl_batch.constants import FOOT_M, NODATA, QUANTUM_M
 from spl_batch.errors import InputError, WorkflowError
-from spl_batch.formats.crs import compound, horizontal, in_unit, vertical, with_vertical
+from spl_batch.formats import reprojection
+from spl_batch.formats.crs import compound, horizontal, in_unit, same_crs, vertical
 from spl_batch.formats.geoid import Geoid
+from spl_batch.formats.heights import is_above_ellipsoid, with_vertical
 from spl_batch.formats.las.reader import inspect, iter_points
 from spl_batch.formats.las.writer import write_points
 from spl_batch.formats.rasters.geotiff import write_cog
@@ -172,16 +174,73 @@ def test_another_unit_is_an_exact_factor_that_every_file_states(
     np.testing.assert_allclose(part.values, heights, rtol=1e-6)
 
 
-def test_heights_of_which_the_unit_alone_is_known_are_above_nothing_that_is_named() -> None:
-    unit = 'VERT_CS["unknown",VERT_DATUM["unknown",2005],UNIT["US survey foot",0.3048006096012192]]'
+@pytest.mark.parametrize("name", ["unknown", "unknown height", "User-Defined", "County heights"])
+def test_heights_of_which_the_unit_alone_is_known_are_above_nothing_that_is_named(
+    name: str,
+) -> None:
+    unit = f'VERT_CS["{name}",VERT_DATUM["unknown",2005],UNIT["US survey foot",{US_M!r}]]'
     survey = compound(CRS("EPSG:2278"), CRS(unit))
-    for named in (TEXAS, "EPSG:32140+5703"):
+    for named in (TEXAS, "EPSG:32140+5703", CRS("EPSG:2278").to_3d().to_wkt()):
         with pytest.raises(WorkflowError, match=r"nothing says what .* survey\.vertical_crs"):
             Reprojection(survey, named)
     stated = with_vertical(survey, "EPSG:6360", "survey.vertical_crs")
     assert Reprojection(stated, TEXAS).crs == CRS(TEXAS)
     assert Units.of(Reprojection(survey, None, "m").crs).are_metres
     assert Units.of(Reprojection(survey, "EPSG:32140").crs).vertical == US_FOOT
+    with pytest.raises(WorkflowError, match="the files say"):
+        with_vertical(survey, "EPSG:5703", "survey.vertical_crs")
+
+
+@pytest.mark.parametrize(
+    ("survey", "named", "unit", "height"),
+    [
+        ("EPSG:6344", "EPSG:6588", None, 100.0),
+        ("EPSG:6344", "EPSG:6588", "us-ft", 100.0 / US_M),
+        ("EPSG:6588", "EPSG:6344", None, 100.0),
+        ("EPSG:6344", "EPSG:6344", None, 100.0),
+        ("EPSG:6344", None, "ft", 100.0 / FOOT_M),
+        # The ellipsoids of both differ by 0.1 mm.
+        ("EPSG:6344", "EPSG:32615", None, 100.0),
+    ],
+)
+def test_heights_above_the_ellipsoid_are_so_in_a_crs_that_names_none(
+    tmp_path: Path, survey: str, named: str | None, unit: str | None, height: float
+) -> None:
+    there = Reprojection(CRS(survey).to_3d(), named, unit)
+    assert same_crs(there.crs, CRS(named or survey)) == (unit != "ft")
+    assert is_above_ellipsoid(there.crs)
+    assert Units.of(there.crs).vertical == NAMES[unit or "m"]
+    x, y = Transformer.from_crs("EPSG:6344", survey, always_xy=True).transform(5e5, 3.3e6)
+    ((_, _, z),) = there.places(np.array([[x, y, 100.0]]))
+    assert z == pytest.approx(height, abs=2e-4)
+    assert header_names_ellipsoid(tmp_path, there)
+
+
+def header_names_ellipsoid(folder: Path, there: Reprojection) -> bool:
+    """Whether a cloud that is delivered there says that its heights are above the ellipsoid."""
+    cloud = surveys.write_cloud(folder / "a.laz", surveys.flightline(shots=5), crs="EPSG:6344")
+    there.cloud(cloud, folder / "b.laz")
+    found = inspect(folder / "b.laz").crs
+    return found is not None and is_above_ellipsoid(found) and found == there.crs
+
+
+def test_a_grid_is_asked_for_where_points_move_and_not_for_a_name(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    built = []
+
+    def counted(source: CRS, target: CRS) -> Transformer:
+        built.append((source, target))
+        return Transformer.from_crs(source, target, always_xy=True)
+
+    monkeypatch.setattr(reprojection, "best_transformer", counted)
+    there = Reprojection(CRS("EPSG:2994"), "EPSG:2992")
+    assert there.moves_points
+    assert there.crs.to_epsg() == 2992
+    assert not built
+    for _ in range(2):
+        there.places(np.array([[800_000.0, 900_000.0, 10.0]]))
+    assert len(built) == 1
 
 
 @pytest.mark.parametrize("unit", NAMES)

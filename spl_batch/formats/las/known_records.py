@@ -23,11 +23,15 @@ from spl_batch.formats.crs import (
     differences,
     horizontal,
     same_crs,
-    same_heights,
     vertical,
 )
 from spl_batch.formats.geotiff_keys import GEO_KEYS, crs_from_geotiff
-from spl_batch.formats.heights import states_heights, with_heights_of
+from spl_batch.formats.heights import (
+    names_datum,
+    same_heights,
+    states_heights,
+    with_heights_of,
+)
 from spl_batch.formats.las.chunks import LASZIP_KEY
 from spl_batch.formats.las.frame import wkt_vlr
 from spl_batch.formats.las.header import (
@@ -242,4 +246,6 @@ def _delivered_crs(own: CRS | None, survey: CRS | None) -> CRS | None:
     if own is None or own.is_geocentric:  # not understood, or wrong over coordinates in metres
         return survey
     heights = vertical(survey)
-    return own if heights is None or vertical(own) is not None else compound(own, heights)
+    if heights is None or names_datum(own) or (vertical(own) and not names_datum(survey)):
+        return own
+    return compound(own, heights)

@@ -110,6 +110,10 @@ def test_most_points_decide_on_the_unit_of_heights(
         (FEET_NAVD88, FEET, None, ""),
         (NAVD88, EGM96, None, "heights are 'EGM96 height'"),
         (None, UTM, None, r"name it in survey\.crs"),
+        (UTM, UTM, "EPSG:32616", r"is not reference\.crs 'WGS 84 / UTM zone 16N'.*leave out refer"),
+        (NAVD88, NAVD88, EGM96, r"are 'NAVD88.*, reference\.crs 'EGM96.*or leave out reference"),
+        (NAVD88, NAVD88, UTM, ""),
+        (NAVD88, UTM, NAVD88, ""),
         (None, None, None, ""),
     ],
 )

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from pyproj import CRS
+from pyproj.crs import CompoundCRS
 
 from spl_batch.constants import US_FOOT_M
 from spl_batch.errors import InputError, WorkflowError
@@ -183,12 +184,18 @@ def test_crs(tmp_path: Path, version: str, point_format: int) -> None:
         assert header.parse_crs().to_epsg() == crs.to_epsg()
 
 
+NAMELESS = CompoundCRS(
+    "", ["EPSG:2154", CRS('VERT_CS["unknown height",VERT_DATUM["unknown",2005],UNIT["metre",1]]')]
+).to_wkt()
+
+
 @pytest.mark.parametrize("where", ["vlrs", "evlrs"])
 @pytest.mark.parametrize(
     ("own", "wanted"),
     [
         ("EPSG:2154", [2154, 5703]),  # the record gets the vertical datum that it lacks
         ("EPSG:2154+5720", [2154, 5720]),
+        (NAMELESS, [2154, 5703]),
         ("EPSG:4978", [32615, 5703]),  # no coordinates of a survey are geocentric
         ("nonsense", [32615, 5703]),
     ],

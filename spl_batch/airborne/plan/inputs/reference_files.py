@@ -5,12 +5,13 @@ A bad file of points compares nothing, and fails alone; checkpoints are read bef
 
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from pyproj import CRS
 
 from spl_batch.airborne.plan.inputs.file_positions import extent, inspected, usable
+from spl_batch.airborne.plan.inputs.survey_crs import contradiction
 from spl_batch.airborne.settings import ReferenceSettings
 from spl_batch.airborne.tasks.checkpoints import read_named
 from spl_batch.engine.findings import Finding
@@ -32,9 +33,14 @@ from spl_batch.formats.crs import (
     same_crs,
 )
 from spl_batch.formats.files.atomic import real_path
-from spl_batch.formats.heights import NAVD88, completed, heights_fault
+from spl_batch.formats.heights import NAVD88, completed, heights_fault, states_heights
 from spl_batch.formats.las.reader import LasFacts
 from spl_batch.formats.units import Units, both
+
+KEY: Final = "reference.crs"
+
+_REMEDY: Final = f"name it in {KEY}:"
+"""What states the heights of a reference file whose CRS leaves them open."""
 
 
 class ReferenceFiles(NamedTuple):
@@ -57,12 +63,20 @@ def checked_reference(
     them may be the wrong one.
     """
     stated = settings.crs if settings else None
-    given = None if stated is None else parse_crs(stated, "reference.crs")
+    given = None if stated is None else parse_crs(stated, KEY)
     known, damaged = inspected(paths)
 
     def fault(facts: LasFacts) -> str:
-        found = given if facts.crs is None else completed(facts.crs, given)
-        return _crs_fault(facts, found, crs, others)
+        if facts.crs is None or given is None:
+            return _crs_fault(facts, facts.crs or given, crs, others)
+        found = completed(facts.crs, given)
+        heights = heights_fault(found, given, _REMEDY, KEY) if states_heights(given) else ""
+        more = f", or leave out {KEY}" if heights else ""
+        return (
+            contradiction(facts, given, KEY, KEY)
+            or f"{heights}{more}"
+            or _crs_fault(facts, found, crs, others)
+        )
 
     good, elsewhere = usable(known, fault)
     if elsewhere and not good:
@@ -77,13 +91,13 @@ def _crs_fault(
 ) -> str:
     """Why a file cannot be compared with a survey of this CRS; empty if it can."""
     if found is None and facts.n_points and look_like_degrees(facts.mins_m, facts.maxs_m):
-        return like_degrees([facts.mins_m, facts.maxs_m], "reference.crs")
+        return like_degrees([facts.mins_m, facts.maxs_m], KEY)
     if found is None:
         return ""
     if crs is None:
         return no_survey_crs(found)
     if same_crs(found, crs):
-        return heights_fault(found, crs, "name it in reference.crs:")
+        return heights_fault(found, crs, _REMEDY)
     remedy = "reproject it"
     if others:
         remedy = (

@@ -28,7 +28,6 @@ from spl_batch.formats.crs import (
     scale_there,
     stretch_problem,
     vertical,
-    with_vertical,
 )
 from spl_batch.formats.heights import (
     NAVD88,
@@ -36,6 +35,7 @@ from spl_batch.formats.heights import (
     heights_fault,
     states_heights,
     with_heights_of,
+    with_vertical,
 )
 from spl_batch.formats.las.header import WAVEFORM_FORMATS
 from spl_batch.formats.las.reader import LasFacts
@@ -66,22 +66,27 @@ def survey_crs(
     given = given or _of_most((facts, facts.crs and horizontal(facts.crs)) for facts in good)
     if given is None:
         return None, good, bad
-    remedy = (
-        "; reproject the file, or if its CRS is wrong write the right one into it, "
-        "e.g. pdal translate in.laz out.laz --writers.las.a_srs=EPSG:..."
-    )
-    if stated is not None:
-        remedy += ", or leave out survey.crs, which is for files that carry none"
-
-    def disagrees(facts: LasFacts) -> str:
-        if facts.crs is None or not facts.n_points or same_crs(facts.crs, given):
-            return ""
-        return f"{other_crs(facts.crs, given)}{remedy}"
-
-    good, elsewhere = usable(good, disagrees)
+    key = None if stated is None else "survey.crs"
+    good, elsewhere = usable(good, lambda facts: contradiction(facts, given, key))
     problems = stretch_problem(given, Units.of(given).metres(_corners(good)))
     good, stretched = usable(good, lambda _: problems)
     return horizontal(given), good, bad + elsewhere + stretched
+
+
+def contradiction(facts: LasFacts, given: CRS, key: str | None, whose: str = "the survey's") -> str:
+    """Fault of a file whose own CRS is another than one; empty where it is not, or it has none.
+
+    ``key``: of the workflow that names that one, if one does. ``whose``: as of :func:`other_crs`.
+    """
+    if facts.crs is None or not facts.n_points or same_crs(facts.crs, given):
+        return ""
+    remedy = (
+        "reproject the file, or if its CRS is wrong write the right one into it, "
+        "e.g. pdal translate in.laz out.laz --writers.las.a_srs=EPSG:..."
+    )
+    if key is not None:
+        remedy += f", or leave out {key}, which is for files that carry none"
+    return f"{other_crs(facts.crs, given, whose)}; {remedy}"
 
 
 def check_reprojection(workflow: Workflow, crs: CRS | None, files: Sequence[LasFacts]) -> None:

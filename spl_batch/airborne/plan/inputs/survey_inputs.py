@@ -54,9 +54,9 @@ from spl_batch.errors import (
     told_together,
 )
 from spl_batch.formats.breaklines import read_breaklines
-from spl_batch.formats.crs import with_vertical
 from spl_batch.formats.files.atomic import checksum
 from spl_batch.formats.geoid import Geoid, grid_file
+from spl_batch.formats.heights import with_vertical
 from spl_batch.formats.las.convert import copied_format
 from spl_batch.formats.las.copc import copc_fault
 from spl_batch.formats.las.reader import LasFacts
