@@ -140,7 +140,8 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "file": "{what}",
             },
             "noise and reflectance are computed along wrong beams, or returns stay unfiltered",
-            "correct gps_time in survey.trajectory, or name the trajectory of this flight",
+            "correct the trajectory's times or heights, name its CRS in survey.trajectory_crs, or "
+            "name the trajectory of this flight",
         ),
         "T03": Code(
             "No trajectory",

@@ -353,6 +353,21 @@ def like_degrees(corners: Sequence[Sequence[float]], key: str) -> str:
     )
 
 
+def lacks(source: CRS, target: CRS) -> str:
+    """What PROJ lacks for the best transformation, and how to get it; empty where it has all."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the same, without the grid's name
+        try:
+            group = TransformerGroup(source, target, always_xy=True, allow_ballpark=False)
+        except ProjError:
+            return "knows none"
+    if group.best_available:
+        return ""
+    grids = [grid.short_name for one in group.unavailable_operations[:1] for grid in one.grids]
+    files = " ".join(f"--file {name}" for name in grids)
+    return f"lacks what `pyproj sync {files}` fetches" if grids else "knows none"
+
+
 @lru_cache(maxsize=64)
 def best_transformer(source: CRS, target: CRS) -> Transformer:
     """Transformation in the order easting, northing, by the best operation that PROJ knows.
@@ -365,14 +380,8 @@ def best_transformer(source: CRS, target: CRS) -> Transformer:
     ProjError
         If there is none, or PROJ lacks its grid; it names the grid.
     """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the same, without the grid's name
-        group = TransformerGroup(source, target, always_xy=True, allow_ballpark=False)
-    grids = [grid.short_name for one in group.unavailable_operations[:1] for grid in one.grids]
-    if not group.best_available:
-        files = " ".join(f"--file {name}" for name in grids)
-        how = f"lacks what `pyproj sync {files}` fetches" if grids else "knows none"
-        raise ProjError(f"the best transformation: PROJ {how}")
+    if lacking := lacks(source, target):
+        raise ProjError(f"the best transformation: PROJ {lacking}")
     return Transformer.from_crs(
         source, target, always_xy=True, only_best=True, allow_ballpark=False
     )

@@ -1,5 +1,6 @@
 """Trajectories: three formats give the same positions, PROJ and a hand formula agree."""
 
+import re
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 
 from spl_batch.errors import InputError, WorkflowError, counted
+from spl_batch.formats.crs import compound
 from spl_batch.formats.gps_clock import clock, time_standard
 from spl_batch.formats.trajectory import positions
 from spl_batch.formats.trajectory.positions import (
@@ -25,6 +27,9 @@ from spl_batch.formats.trajectory.records import COLUMNS, SBET_RECORD, read_reco
 from spl_batch.lattice.tables import Trajectory
 
 UTM = CRS.from_epsg(32615)
+NAMELESS = compound(
+    UTM, CRS('VERT_CS["unknown",VERT_DATUM["unknown",2005],UNIT["metre",1]]')
+).to_wkt()
 ADJUSTED = 2.5e8
 WEEK = 604_800
 
@@ -132,6 +137,24 @@ def test_faults(tmp_path: Path) -> None:
         assert "\n" not in str(caught.value)
     with pytest.raises(InputError, match="matches no file"):
         read()
+
+
+@pytest.mark.parametrize(
+    ("survey", "told"),
+    [
+        ("EPSG:6344+5703", "not of .*NAVD88 height.*: PROJ lacks .*us_noaa_g2018u0.tif"),
+        (NAMELESS, ""),
+        ("EPSG:6344", ""),
+    ],
+)
+def test_heights_that_cannot_be_converted_are_named_with_the_grid(
+    tmp_path: Path, survey: str, told: str
+) -> None:
+    sbet = write_sbet(tmp_path / "a.sbet", flight())
+    loaded = read(sbet, crs="EPSG:6319", survey=CRS(survey))
+    assert bool(loaded.warnings) == bool(told)
+    assert all(re.search(told, text) for text in loaded.warnings)
+    np.testing.assert_allclose(loaded.trajectory.xyz_m[:, 2], flight()[:, 3], atol=1e-6)
 
 
 def test_crs_faults(tmp_path: Path) -> None:

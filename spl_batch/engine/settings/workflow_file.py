@@ -13,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 
 from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.settings.mistaken_file import refuse_urls
-from spl_batch.errors import WorkflowError, brief, reason_of
+from spl_batch.errors import WorkflowError, brief, named, reason_of
 from spl_batch.receivers import HOMES, IMAGING, workflow_model
 
 M = TypeVar("M", bound=BaseModel)
@@ -155,7 +155,8 @@ def _fault(error: Any, model: type[BaseModel]) -> str:
     if isinstance(given, Mapping) and error["type"] == "string_type" and error["loc"][-1] == "str":
         return ""
     # pydantic names the member of a union on the way, as in survey.sensor.Sensor.prf.
-    parts = [str(part) for part in error["loc"] if not str(part)[:1].isupper()]
+    loc = map(str, error["loc"])
+    parts = [part for part in loc if not (part[:1].isupper() or part.startswith("tuple["))]
     place = ".".join(parts[:-1] if parts[-1:] == ["str"] else parts)
     if error["type"] == "extra_forbidden":
         near = _nearest([part for part in parts if not part.isdigit()], [*_keys(model)])
@@ -163,6 +164,11 @@ def _fault(error: Any, model: type[BaseModel]) -> str:
     message = error["msg"].removeprefix("Value error, ")
     if error["type"] == "float_parsing" and place.endswith("_m"):
         message = "this key takes a number of metres, without a unit"
+    elif error["type"] == "tuple_type":
+        message = "write a list" + (f", [{brief(given, 100)}]" if isinstance(given, str) else "")
+    elif error["type"] == "model_type":
+        names = [key[-1] for key in _keys(model) if key[:-1] == tuple(parts)]
+        message = f"write a mapping with the keys {named(list(dict.fromkeys(names)))}"
     shown = "" if isinstance(given, dict) else f" (found {brief(repr(given), 100)})"
     return f"{place}: {message[0].lower()}{message[1:]}{shown}" if place else message
 

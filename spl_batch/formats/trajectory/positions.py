@@ -19,9 +19,17 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
 from spl_batch.errors import InputError, counted, grouped
-from spl_batch.formats.crs import crs_name, crs_problems, horizontal, no_survey_crs, parse_crs
+from spl_batch.formats.crs import (
+    crs_name,
+    crs_problems,
+    horizontal,
+    lacks,
+    no_survey_crs,
+    parse_crs,
+)
 from spl_batch.formats.files.atomic import stop_if_full
 from spl_batch.formats.gps_clock import TimeStandard, clock, time_standard
+from spl_batch.formats.heights import names_datum
 from spl_batch.formats.trajectory.records import COLUMNS, SBET_SUFFIXES, Records, read_records
 from spl_batch.formats.units import METRES, Units, both
 from spl_batch.formats.verified.parquet_npz import ranges_of, read_groups, reading, writing
@@ -278,7 +286,7 @@ def _conversion(
         return np.column_stack([east_north, position[:, 2] * unit_m])
 
     ways: list[Callable[[Positions], Positions]] = [keep_heights]
-    if len(crs.axis_info) == 3 and len(survey.axis_info) == 3:
+    if names_datum(crs) and names_datum(survey):
         whole = _projection(crs, survey, best=True)
         ways.append(lambda position: units.metres(whole(position)))
 
@@ -291,8 +299,8 @@ def _conversion(
                 whence = f"from {crs_name(crs)} to {crs_name(survey)}"
                 raise InputError(str(path), f"cannot be transformed {whence}") from error
             warnings.append(
-                f"trajectory: heights stay those of {crs_name(crs)}; what converts them to"
-                f" {crs_name(survey)} is not installed (PROJ grids)"
+                f"trajectory: heights stay those of {crs_name(crs)}, not of {crs_name(survey)}: "
+                f"PROJ {lacks(crs, survey) or error}"
             )
             del ways[-1]
             return convert(position)

@@ -129,6 +129,12 @@ def test_a_length_has_a_unit_that_is_known(text: str, length_m: float | None) ->
 FILES, KHZ = MINIMAL["survey"], "30 kHz is 30000"
 FAULTS = [
     ({"tiling": {"tile": 1}}, ("tiling.tile: no such key", "'tiling.tile_m'")),
+    ({"outputs": {"drop": "noise"}}, ("outputs.drop: write a list, [noise] (found 'noise')",)),
+    (
+        {"outputs": {"client_tiles": "t.gpkg"}},
+        ("client_tiles: write a mapping with the keys polygons, name, format (found 't.gpkg')",),
+    ),
+    ({"reference": 3}, ("reference: write a mapping with the keys points, crs,", "(found 3)")),
     ({"filter": {"alhpa": 1}}, ("filter.alhpa: no such key", "'filter.alpha'")),
     (
         {"survey": FILES | {"flight_lines": 1}},
