@@ -24,6 +24,7 @@ from spl_batch.formats.crs import (
     is_nameless,
     vertical,
 )
+from spl_batch.formats.heights import SOME_HEIGHTS
 from spl_batch.formats.units import METRE, Units, metres_in
 
 GEO_KEYS: Final = (
@@ -37,9 +38,6 @@ _VERTICAL_CRS_KEY: Final = 4096
 _VERTICAL_UNIT_KEY: Final = 4099
 _LINEAR_UNIT_KEY: Final = 3076
 """GeoTIFF keys of heights and of lengths [OGC 19-008r4, B.4]."""
-
-_SOME_HEIGHTS: Final = CRS.from_wkt('VERT_CS["unknown",VERT_DATUM["unknown",2005],UNIT["metre",1]]')
-"""What a unit of heights alone tells of."""
 
 
 @lru_cache(maxsize=64)
@@ -62,7 +60,7 @@ def crs_from_geotiff(directory: bytes, doubles: bytes, text: bytes) -> CRS | Non
         flat = _in_unit(flat, keys.get(_LINEAR_UNIT_KEY))
     if 5000 < code < 5034:  # heights above an ellipsoid, by a code of GeoTIFF 1.0, 6.3.4.1
         return _in_unit(flat.to_3d(), unit)
-    heights = vertical(found) or _vertical_crs(code) or (_SOME_HEIGHTS if unit else None)
+    heights = vertical(found) or _vertical_crs(code) or (SOME_HEIGHTS if unit else None)
     if heights is None:
         return flat
     whole = compound(flat, _in_unit(heights, unit))

@@ -27,6 +27,9 @@ from spl_batch.formats.units import Units, in_words
 NAVD88: Final = "EPSG:6360 states US survey feet, EPSG:8228 feet, EPSG:5703 metres"
 """Codes of heights above one datum, by which deliveries in feet name the unit."""
 
+SOME_HEIGHTS: Final = CRS.from_wkt('VERT_CS["unknown",VERT_DATUM["unknown",2005],UNIT["metre",1]]')
+"""What a unit of heights alone tells of."""
+
 
 def with_vertical(crs: CRS | None, text: str, key: str) -> CRS:
     """A compound CRS of a horizontal one and the vertical one that a user names.

@@ -22,8 +22,9 @@ from spl_batch.airborne.catalogue.delivered_files import (
 )
 from spl_batch.airborne.catalogue.stac import write_stac
 from spl_batch.errors import plain
-from spl_batch.formats.crs import crs_name
+from spl_batch.formats.crs import compound, crs_name, in_unit, same_crs
 from spl_batch.formats.files.atomic import replacing, scratch_folder
+from spl_batch.formats.heights import SOME_HEIGHTS
 from spl_batch.formats.las.header import read_header
 from spl_batch.formats.las.known_records import header_crs
 from spl_batch.formats.units import Units
@@ -168,16 +169,17 @@ def write_layers(path: Path, layers: Sequence[Layer], crs: str | None) -> Path:
     try:
         with replacing(path) as target, scratch_folder(path) as folder:
             whole = folder / path.name  # GDAL keeps its journal beside the file
+            text = UNDEFINED if crs is None else _as_gdal_takes_it(crs, folder)
             for layer in layers:
                 if len(layer.shapes):
-                    _write(whole, layer, crs)
+                    _write(whole, layer, text)
             whole.replace(target)
     finally:
         pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": None})
     return path
 
 
-def _write(path: Path, layer: Layer, crs: str | None) -> None:
+def _write(path: Path, layer: Layer, crs: str) -> None:
     import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
 
     shapes = np.asarray(layer.shapes, object)
@@ -190,9 +192,28 @@ def _write(path: Path, layer: Layer, crs: str | None) -> None:
         layer=layer.name,
         driver="GPKG",
         geometry_type=f"{kinds.pop()}{' Z' if layer.shapes[0].has_z else ''}",
-        crs=UNDEFINED if crs is None else crs,
+        crs=crs,
         append=path.exists(),
     )
+
+
+def _as_gdal_takes_it(crs: str, folder: Path) -> str:
+    """WKT of a CRS by which a GeoPackage is in that CRS.
+
+    GDAL takes a UTM of WGS 84, NAD83 or NAD27 without a code, such as one in feet, for EPSG's in
+    metres (``OGRSpatialReference::AutoIdentifyEPSG``), but for one with heights. Readers do so too.
+    """
+    import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
+
+    known = CRS.from_wkt(crs)
+    if known.to_epsg() is not None:
+        return crs
+    trial = folder / "trial.gpkg"
+    _write(trial, Layer("trial", [shapely.Point(0, 0)], {}), crs)
+    found = CRS.from_user_input(pyogrio.read_info(trial)["crs"])
+    if same_crs(found, known):
+        return crs
+    return compound(known, in_unit(SOME_HEIGHTS, Units.of(known).vertical)).to_wkt()
 
 
 def _column(values: Sequence[Any]) -> Any:

@@ -21,7 +21,9 @@ from pystac.validation.local_validator import get_local_schema_cache
 from referencing import Registry, Resource
 from referencing.jsonschema import DRAFT7
 
-from spl_batch.airborne.catalogue.catalogues import write_catalogues
+from spl_batch.airborne.catalogue.catalogues import Layer, write_catalogues, write_layers
+from spl_batch.formats.crs import in_unit, same_crs
+from spl_batch.formats.units import FOOT, METRE, US_FOOT, Units
 from tests import surveys
 from tests.formats.test_geoid import by_hand, write_grid
 
@@ -250,6 +252,23 @@ def test_the_index_counts_what_is_there(output: Path) -> None:
     assert set(told) == set(errors)
     for name, error in errors.items():
         assert told[name] == error or (np.isnan(told[name]) and error is None)
+
+
+@pytest.mark.parametrize("unit", [METRE, FOOT, US_FOOT])
+@pytest.mark.parametrize(
+    "name", ["EPSG:32615", "EPSG:32715", "EPSG:26915", "EPSG:26715", "EPSG:6344", "EPSG:32615+5703"]
+)
+def test_a_geopackage_is_in_the_unit_of_its_crs(tmp_path: Path, name: str, unit: str) -> None:
+    crs = in_unit(CRS(name), unit)
+    for wanted in (crs, crs.to_3d()) if not crs.is_compound else (crs,):
+        layers = [Layer(k, [shapely.Point(1, 2)], {"n": [1]}) for k in "ab"]
+        path = write_layers(tmp_path / "a.gpkg", layers, wanted.to_wkt())
+        for layer in "ab":
+            found = CRS.from_user_input(pyogrio.read_info(path, layer=layer)["crs"])
+            assert same_crs(found, wanted)
+            assert Units.of(found).horizontal == unit
+        once = path.read_bytes()
+        assert write_layers(tmp_path / "a.gpkg", layers, wanted.to_wkt()).read_bytes() == once
 
 
 def test_checkpoint_errors_are_those_of_the_raster(output: Path) -> None:
