@@ -89,6 +89,7 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "scale": "{crs} draws lengths {lengths:.3f} and areas {areas:.3f} times as large "
                 "as they are: distances, densities and volumes are off by that",
                 "geoid": "{count:cells|lie} beyond the grid {grid}: void",
+                "grid": "{key}: {what}",
             },
             remedy="check the CRS, the order of its axes and the coordinates",
             noun="file",

@@ -18,8 +18,9 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError, ProjError
 
 from spl_batch.errors import InputError, as_input_fault, counted, named
-from spl_batch.formats.crs import best_transformer, crs_name, horizontal, no_survey_crs, same_crs
+from spl_batch.formats.crs import crs_name, horizontal, no_survey_crs, same_crs
 from spl_batch.formats.heights import completed, heights_ratio, other_heights, unknown_unit
+from spl_batch.formats.transformations import best_transformer
 from spl_batch.formats.units import Units, in_words
 from spl_batch.formats.vector_files import all_layers
 

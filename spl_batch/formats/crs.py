@@ -1,17 +1,15 @@
 """Coordinate reference systems: from LAS records, and whether they suit this work."""
 
 import re
-import warnings
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pyproj import CRS, Proj, Transformer
+from pyproj import CRS, Proj
 from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError, ProjError
-from pyproj.transformer import TransformerGroup
 
 from spl_batch.errors import WorkflowError, named
 from spl_batch.formats.units import FOOT, METRE, US_FOOT, Units, in_words, metres_in
@@ -350,38 +348,4 @@ def like_degrees(corners: Sequence[Sequence[float]], key: str) -> str:
     return (
         "no CRS is known and the coordinates look like degrees: if they are, reproject the files "
         f"to a CRS in metres{example}; if they are metres, name their CRS, --set {key}=EPSG:..."
-    )
-
-
-def lacks(source: CRS, target: CRS) -> str:
-    """What PROJ lacks for the best transformation, and how to get it; empty where it has all."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the same, without the grid's name
-        try:
-            group = TransformerGroup(source, target, always_xy=True, allow_ballpark=False)
-        except ProjError:
-            return "knows none"
-    if group.best_available:
-        return ""
-    grids = [grid.short_name for one in group.unavailable_operations[:1] for grid in one.grids]
-    files = " ".join(f"--file {name}" for name in grids)
-    return f"lacks what `pyproj sync {files}` fetches" if grids else "knows none"
-
-
-@lru_cache(maxsize=64)
-def best_transformer(source: CRS, target: CRS) -> Transformer:
-    """Transformation in the order easting, northing, by the best operation that PROJ knows.
-
-    Without a grid PROJ takes the next best one, metres off, and keeps silent. A run has few pairs
-    of CRS, and each takes PROJ 20 to 50 ms.
-
-    Raises
-    ------
-    ProjError
-        If there is none, or PROJ lacks its grid; it names the grid.
-    """
-    if lacking := lacks(source, target):
-        raise ProjError(f"the best transformation: PROJ {lacking}")
-    return Transformer.from_crs(
-        source, target, always_xy=True, only_best=True, allow_ballpark=False
     )

@@ -20,7 +20,6 @@ from spl_batch.formats.crs import (
     LIBLAS_KEY,
     NAME,
     WKT_KEY,
-    best_transformer,
     crs_name,
     crs_problems,
     horizontal,
@@ -45,6 +44,7 @@ from spl_batch.formats.rasters.parts import (
     read_part,
     windows,
 )
+from spl_batch.formats.transformations import best_transformer
 from spl_batch.formats.units import NAMES, Units
 
 KEY: Final = "outputs.crs"

@@ -20,9 +20,10 @@ from pyproj.exceptions import CRSError, ProjError
 
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import InputError, as_input_fault, named
-from spl_batch.formats.crs import best_transformer, horizontal, no_survey_crs, same_crs
+from spl_batch.formats.crs import no_survey_crs, same_crs
 from spl_batch.formats.heights import heights_fault
 from spl_batch.formats.las.header import open_input
+from spl_batch.formats.transformations import kept_degrees, shape_transformers
 from spl_batch.formats.units import Units
 
 COORDINATE_MAX: Final = 1e9
@@ -208,10 +209,8 @@ def in_crs(
 
     def move(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
         x, y = xyz[:, 0], xyz[:, 1]
-        if not known:
-            x, y = best_transformer(horizontal(source), horizontal(crs)).transform(
-                x, y, errcheck=True
-            )
+        for step in [] if known else shape_transformers(source, crs):
+            x, y = step.transform(x, y, errcheck=True)
         return units.metres(np.column_stack([x, y, xyz[:, 2:]]))
 
     try:
@@ -223,6 +222,20 @@ def in_crs(
             "its axes, or write it in the survey's CRS",
         ) from None
     return moved
+
+
+def shapes_keep_degrees(path: Path, crs: CRS | None) -> list[str]:
+    """A sentence for each CRS of a file whose shapes keep their degrees for want of a grid."""
+    import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
+
+    if crs is None:
+        return []
+    with _as_one_line(path):
+        kinds = [(name, kind) for name, kind in pyogrio.list_layers(path) if kind is not None]
+        shapes = [name for name, kind in kinds if "Point" not in kind]
+        stated = {pyogrio.read_info(path, layer=name)["crs"] for name in shapes} - {None}
+        own = [CRS.from_user_input(text) for text in sorted(stated)]
+    return [way for one in own if (way := kept_degrees(one, crs))]
 
 
 def check_polygons(path: Path, crs: CRS | None) -> Geometries:

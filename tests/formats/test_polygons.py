@@ -11,10 +11,17 @@ import pyogrio
 import pytest
 import shapely
 from pyproj import CRS, Transformer
+from pyproj.exceptions import ProjError
 
 from spl_batch.errors import InputError
 from spl_batch.formats.breaklines import read_breaklines
-from spl_batch.formats.vector_files import check_polygons, contains, read_polygons
+from spl_batch.formats.transformations import kept_degrees, shape_transformers
+from spl_batch.formats.vector_files import (
+    check_polygons,
+    contains,
+    read_polygons,
+    shapes_keep_degrees,
+)
 
 UTM = CRS.from_epsg(32615)
 
@@ -60,6 +67,44 @@ def test_a_missing_grid_is_named_in_place_of_the_next_best_operation(tmp_path: P
     )
     with pytest.raises(InputError, match=r"pyproj sync --file uk_os_OSTN15_NTv2_OSGBtoETRS\.tif"):
         read_polygons(path, CRS.from_epsg(25830))
+
+
+@pytest.mark.parametrize(
+    ("degrees", "own", "wanted", "accuracy"),
+    [
+        ("EPSG:4269", "EPSG:4269", "EPSG:6344", "6 m"),
+        ("EPSG:4269", "EPSG:26915", "EPSG:6588", "6 m"),
+        ("EPSG:4152", "EPSG:4152", "EPSG:6344", "4 m"),
+        ("EPSG:6318", "EPSG:6318", "EPSG:6344", ""),
+        ("EPSG:4326", "EPSG:4326", "EPSG:6344", ""),
+    ],
+)
+def test_realisations_of_a_datum_keep_their_degrees_without_a_grid(
+    tmp_path: Path, degrees: str, own: str, wanted: str, accuracy: str
+) -> None:
+    survey = CRS(wanted)
+    box = shapely.box(-94.001, 30.0, -94.0, 30.001)
+    for crs in (own, wanted):
+        there = Transformer.from_crs(degrees if crs == own else "EPSG:6318", crs, always_xy=True)
+        moved = shapely.transform(box, lambda xy, to=there: np.column_stack(to.transform(*xy.T)))
+        write(tmp_path / f"{crs[5:]}.gpkg", [moved], crs)
+    name = tmp_path / f"{own[5:]}.gpkg"
+    area, exact = (read_polygons(path, survey) for path in (name, tmp_path / f"{wanted[5:]}.gpkg"))
+    assert area.symmetric_difference(exact).area < 1e-3 * area.length
+    told = shapes_keep_degrees(name, survey)
+    assert len(told) == bool(accuracy)
+    assert all(f"accurate to {accuracy} by EPSG, as PROJ lacks" in text for text in told)
+    assert all("pyproj sync --file us_noaa" in text for text in told)
+
+
+@pytest.mark.parametrize(
+    ("own", "survey"), [(4267, 6344), (4301, 6677), (4313, 3812), (4314, 25832), (27700, 25830)]
+)
+def test_shapes_of_another_datum_do_not_keep_their_degrees(own: int, survey: int) -> None:
+    ends = CRS.from_epsg(own), CRS.from_epsg(survey)
+    assert not kept_degrees(*ends)
+    with pytest.raises(ProjError, match="pyproj sync --file"):
+        shape_transformers(*ends)
 
 
 def test_every_layer_and_only_polygons(tmp_path: Path) -> None:

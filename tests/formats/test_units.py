@@ -331,9 +331,11 @@ def test_clouds_and_rasters_in_another_crs(tmp_path: Path) -> None:
     [
         ("EPSG:32615", TEXAS, "nothing says what the survey's heights"),
         (None, TEXAS, "the survey has no CRS"),
-        ("EPSG:32615", "EPSG:4326", "geographic"),
+        ("EPSG:32615", "EPSG:4326", "geographic .* projected: name a projected CRS"),
+        ("EPSG:32615", "EPSG:4978", "geocentric, .* projected: name a projected CRS"),
+        ("EPSG:32615", "EPSG:5703", "a CRS of heights alone; write that of places"),
         ("EPSG:32615+5703", "EPSG:2278+5773", "cannot be reached .* grid that it lacks"),
-        ("EPSG:32615", "EPSG:32606", "stretches lengths"),
+        ("EPSG:32615", "EPSG:32606", "stretches lengths .* name one of the region"),
         ("EPSG:27700", "EPSG:25830", "pyproj sync --file uk_os_OSTN15_NTv2_OSGBtoETRS.tif"),
         ("EPSG:2994", "EPSG:2992", "lacks what .* --file us_noaa_nadcon5_nad83_1986_nad83_harn"),
     ],

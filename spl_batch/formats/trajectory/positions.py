@@ -23,7 +23,6 @@ from spl_batch.formats.crs import (
     crs_name,
     crs_problems,
     horizontal,
-    lacks,
     no_survey_crs,
     parse_crs,
 )
@@ -31,6 +30,7 @@ from spl_batch.formats.files.atomic import stop_if_full
 from spl_batch.formats.gps_clock import TimeStandard, clock, time_standard
 from spl_batch.formats.heights import names_datum
 from spl_batch.formats.trajectory.records import COLUMNS, SBET_SUFFIXES, Records, read_records
+from spl_batch.formats.transformations import lacks
 from spl_batch.formats.units import METRES, Units, both
 from spl_batch.formats.verified.parquet_npz import ranges_of, read_groups, reading, writing
 from spl_batch.lattice.tables import Trajectory

@@ -8,6 +8,9 @@ import pytest
 import shapely
 from pyproj import Transformer
 
+from spl_batch.airborne.plan.inputs.survey_inputs import gather_inputs
+from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.formats import vector_files
 from tests import surveys
 
 
@@ -36,6 +39,26 @@ def test_an_area_with_latitude_and_longitude_swapped_is_refused(tmp_path: Path) 
     ended = surveys.command("plan", surveys.write_workflow(tmp_path, aoi="p.geojson"))
     assert ended.status == 2
     assert "p.geojson" in ended.text
+
+
+def test_polygons_that_keep_their_degrees_are_told_and_read_again_with_the_grid(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    east, north = surveys.ORIGIN_M
+    degrees = Transformer.from_crs("EPSG:26915", "EPSG:4269", always_xy=True).transform(east, north)
+    write(tmp_path / "p.gpkg", shapely.Point(*degrees).buffer(0.001), crs="EPSG:4269")
+    cloud = surveys.flightline(shots=20)
+    surveys.write_cloud(tmp_path / "lines" / "a.laz", cloud, crs="EPSG:6344")
+    content = {"survey": {"flightlines": "lines/*.laz"}, "aoi": "p.gpkg", "output": "out"}
+    workflow = Workflow.model_validate(content)
+    inputs = gather_inputs(workflow, tmp_path, tmp_path / "out")
+    (one,) = surveys.found(inputs.warnings, "I05", "grid")
+    assert (one.subject, one.values["key"]) == ("p.gpkg", "aoi")
+    assert "accurate to 6 m" in one.values["what"]
+    monkeypatch.setattr(vector_files, "kept_degrees", lambda *_: "")
+    again = gather_inputs(workflow, tmp_path, tmp_path / "out")
+    assert not surveys.found(again.warnings, "I05")
+    assert again.checksums("aoi") != inputs.checksums("aoi")
 
 
 def test_an_area_between_the_flightlines_is_refused_once_the_points_are_read(

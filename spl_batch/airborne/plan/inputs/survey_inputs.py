@@ -63,7 +63,7 @@ from spl_batch.formats.las.reader import LasFacts
 from spl_batch.formats.named_areas import NamedArea
 from spl_batch.formats.trajectory.records import has_records
 from spl_batch.formats.units import Units
-from spl_batch.formats.vector_files import check_polygons
+from spl_batch.formats.vector_files import check_polygons, shapes_keep_degrees
 
 NO_POINTS = "the file holds no points; name files that hold some, or copy it again"
 """What is wrong with a file where no other has points."""
@@ -157,6 +157,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     ]
     placed = [(name_below(facts.path, base), facts) for facts in good]
     warnings += [*degrees_as_metres(placed), *far_positions(placed), *saved_again(placed)]
+    warnings += _kept_degrees(workflow, base, crs)
     warnings += looked_into(checkpoints, crs, workflow.reference, good)
     warnings += crs_findings(crs, placed, stated=workflow.survey.crs is not None)
     names = _delivered_names([f.path for f in good], base)
@@ -172,7 +173,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         checked_reference(reference if good else (), workflow.reference, crs, mismatched),
         crs,
         tuple(warnings),
-        tuple(_checksums(workflow, base)),
+        tuple(_checksums(workflow, base, crs)),
         checkpoints,
         _unreadable(trajectory),
         areas,
@@ -274,7 +275,18 @@ def _without_time(workflow: Workflow, files: Sequence[LasFacts], base: Path) -> 
     ]
 
 
-def _checksums(workflow: Workflow, base: Path) -> Iterable[tuple[str, str]]:
+def _kept_degrees(workflow: Workflow, base: Path, crs: CRS | None) -> Iterator[Finding]:
+    """Files of shapes that come to the survey's CRS in another way than the best."""
+    for key, name in (_shapes(workflow) | tiles_file(workflow)).items():
+        for way in shapes_keep_degrees(base / name, crs):
+            yield Finding("I05", {"kind": "grid", "key": key, "what": way}, name)
+
+
+def _checksums(workflow: Workflow, base: Path, crs: CRS | None) -> Iterable[tuple[str, str]]:
+    """Key and checksum of each file beside the points, with the way of shapes to the survey's CRS.
+
+    That way changes what comes of them, and with it what is done again, once a grid is there.
+    """
     named = _shapes(workflow) | tiles_file(workflow)
     files = {key: base / name for key, name in named.items()}
     geoid = workflow.outputs.geoid
@@ -284,7 +296,8 @@ def _checksums(workflow: Workflow, base: Path) -> Iterable[tuple[str, str]]:
         # A shapefile's corners, table and CRS lie in files of the same stem.
         parts = path.parent.glob(f"{glob.escape(path.stem)}.*")
         whole = sorted(parts) if path.suffix.lower() == ".shp" else [path]
-        yield key, " ".join(checksum(part) for part in whole)
+        ways = shapes_keep_degrees(path, crs) if key in named else []
+        yield key, " ".join([*(checksum(part) for part in whole), *ways])
 
 
 def source_args(source: Source) -> dict[str, str]:
