@@ -268,6 +268,41 @@ def test_clouds_and_rasters_in_another_crs(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("stored", "scale", "offset"),
+    [("f8", None, None), ("f4", None, None), ("i2", [0.01], [5.0]), ("u2", None, None)],
+)
+@pytest.mark.parametrize("name", ["HeightAboveGround", "HeightAboveGround_2"])
+def test_an_inputs_own_heights_above_ground_are_in_the_clouds_unit(
+    tmp_path: Path, name: str, stored: str, scale: list[float] | None, offset: list[float] | None
+) -> None:
+    path = surveys.write_cloud(tmp_path / "m.laz", surveys.flightline(shots=20))
+    las = laspy.read(surveys.in_feet(path, tmp_path / "ft.laz", TEXAS, [US_M] * 3))
+    for one in (name, "AboveRoof"):
+        las.add_extra_dim(
+            laspy.ExtraBytesParams(
+                one, stored, scales=scale and np.array(scale), offsets=offset and np.array(offset)
+            )
+        )
+        las[one] = np.arange(len(las)) % 90
+    las.write(tmp_path / "a.laz")
+    moved = Reprojection(CRS(TEXAS), None, "m")
+    assert moved.cloud(tmp_path / "a.laz", tmp_path / "b.laz") == len(las)
+    after = laspy.read(tmp_path / "b.laz")
+    np.testing.assert_allclose(after[name], np.asarray(las[name]) * US_M, rtol=1e-6)
+    np.testing.assert_array_equal(after["AboveRoof"], las["AboveRoof"])
+    np.testing.assert_allclose(after.z, np.asarray(las.z) * US_M, atol=5.1e-4)
+    Reprojection(CRS(TEXAS), "EPSG:2279").cloud(tmp_path / "a.laz", tmp_path / "c.laz")
+    described = [
+        [
+            bytes(one)
+            for one in laspy.read(path).header.vlrs.get("ExtraBytesVlr")[0].extra_bytes_structs
+        ]
+        for path in (tmp_path / "a.laz", tmp_path / "c.laz")
+    ]
+    assert described[0] == described[1]  # the same unit: nothing to convert
+
+
+@pytest.mark.parametrize(
     ("survey", "named", "fault"),
     [
         ("EPSG:32615", TEXAS, "nothing says what the survey's heights"),
