@@ -209,6 +209,26 @@ def test_a_raster_of_heights_above_the_ellipsoid_has_its_crs(tmp_path: Path) -> 
     np.testing.assert_allclose(part.values, 812.5, rtol=1e-6)
 
 
+@pytest.mark.parametrize("version", ["WKT2_2019", "WKT1_GDAL"])
+@pytest.mark.parametrize(
+    ("text", "codes"),
+    [(TEXAS, [2278, 6360]), ("EPSG:8782", [2278, 6360]), ("EPSG:5972", [25832, 5941])],
+)
+def test_a_raster_names_the_parts_of_a_crs_with_a_code_of_its_own(
+    tmp_path: Path, text: str, version: str, codes: list[int]
+) -> None:
+    crs, path = CRS.from_user_input(text).to_wkt(version), tmp_path / "dtm"
+    for _ in range(2):  # as a client's tile is cut out of another raster
+        write_cog(
+            path, np.array([[812.5]], np.float32), shape=(1, 1), origin_xy_m=(4.0, 9.0), crs=crs,
+            description="", unit="m",
+        )  # fmt: skip
+        with rasterio.open(path) as source:
+            crs = source.crs.to_wkt()
+        found = CRS.from_wkt(crs)
+        assert [part.to_epsg() for part in (horizontal(found), vertical(found))] == codes
+
+
 def test_another_unit_needs_a_crs() -> None:
     with pytest.raises(WorkflowError, match=r"outputs\.units: the survey has no CRS"):
         Reprojection(None, None, "us-ft")
