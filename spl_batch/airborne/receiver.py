@@ -156,7 +156,7 @@ class Imaging(Receiver[Survey, Context]):
         if step.name == "sensor_path" and survey.of("sensor_path"):
             yield beams_without_trajectory(survey)
         if step.name == "align" and survey.workflow.survey.align != "none":
-            yield from _shift_notes(survey)
+            yield from _shift_notes(survey, prepared.context.shown_units)
         yield from _swath_findings(step, survey)
 
     def reference(self, ledger: Survey) -> list[str]:
@@ -236,12 +236,12 @@ def _swath_findings(step: Step, survey: Survey) -> Iterator[Finding]:
         yield from offset_warnings(pairs, survey.workflow.survey.align)
 
 
-def _shift_notes(survey: Survey) -> Iterator[Finding]:
+def _shift_notes(survey: Survey, units: Units) -> Iterator[Finding]:
     """By how much flightlines are shifted."""
     if bool(survey.of("index_file")) and is_one_flightline(survey):
         texts = ["survey.align: there is one flightline, nothing is shifted"]
     else:
         found = shifts_of(survey.of("align").values())
-        texts = [] if all(one.stays for one in found) else [done_sentence(found)]
+        texts = [] if all(one.stays for one in found) else [done_sentence(found, units)]
     for text in texts:
         yield Finding("E01", {"kind": "memory", "what": text})
