@@ -102,17 +102,16 @@ class Imaging(Receiver[Survey, Context]):
             ("ground cells", grouped(cost.cells)),
             ("margin", halo),
         ]
-        inputs, units = prepared.ledger.inputs, Units.of(prepared.ledger.inputs.crs)
+        inputs = prepared.ledger.inputs
         if settings.filtering and not inputs.trajectory:
             beams = "from where lines of sight meet, by scan_angle, or vertical"
             rows.append(("trajectory", f"none: beams are taken {beams}"))
         numbered = settings.survey.channel_dimension is not None or settings.sensor.beamlets == 1
         if settings.filtering and not numbered:
             rows.append(("beamlets", "survey.channel_dimension is not set: a shot is one beamlet"))
-        if inputs.checkpoints is not None and not units.are_metres:
-            unit = in_words(units.vertical)
-            taken = f"heights in {unit}, as the survey's, unless their CRS states another unit"
-            rows.append(("checkpoints", f"{inputs.checkpoints.name}: {taken}"))
+        if inputs.checkpoints is not None and inputs.checkpoints.units:
+            heights = " and ".join(map(in_words, inputs.checkpoints.units))
+            rows.append(("checkpoints", f"{inputs.checkpoints.name}: heights in {heights}"))
         if settings.survey.align == "vertical":
             rows.append(("alignment", "survey.align: vertical: heights of flightlines are shifted"))
         return rows
