@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from spl_batch import api
 from tests import surveys
 
 HEAD = "id,x,y,z,surface,accuracy_m,crs\n"
@@ -67,6 +68,15 @@ def test_metres_beside_a_survey_in_feet_are_named(
     assert (f"checkpoints c.csv: heights in {unit} " in f"{text} ") == (ended.status == 0)
     assert ended.status == (2 if crs == "EPSG:32140" else 0)
     assert ("C01" in ended.text) == bool(said and ended.status == 0)
+
+
+def test_far_noise_in_the_headers_box_makes_no_good_checkpoint_a_bad_one(tmp_path: Path) -> None:
+    line = surveys.flightline(shots=20, noise=0.0)
+    line["z"][:2] = -9_000.0, 9_000.0
+    surveys.write_cloud(tmp_path / "lines" / "a.laz", line)
+    (tmp_path / "c.csv").write_text(f"{HEAD}A,{EAST + 0.5},{NORTH},20.02,open,0.01,\n")
+    workflow = surveys.write_workflow(tmp_path, reference={"checkpoints": "c.csv"})
+    assert not surveys.found(api.plan(workflow).findings, "C01")
 
 
 def test_every_unit_of_a_file_is_named(tmp_path: Path) -> None:

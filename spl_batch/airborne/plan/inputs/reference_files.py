@@ -137,7 +137,11 @@ def _misplaced(
     boxes: Sequence[tuple[Sequence[float], Sequence[float]]],
     units: Units,
 ) -> Iterator[str]:
-    """Where all checkpoints lie and where the survey does: a wrong CRS, or unit, shows at once."""
+    """Where all checkpoints lie and where the survey does: a wrong CRS, or unit, shows at once.
+
+    Headers' boxes hold far noise too, which makes them larger: nothing is named wrongly for that. A
+    wrong unit that it hides is named beside the terrain, once there is one.
+    """
     places = np.array([(point.x_m, point.y_m, point.z_m) for point in points]).reshape(-1, 3)
     low, high = (np.array([box[end] for box in boxes]).reshape(-1, 3) for end in (0, 1))
     inside = (places[:, None] >= low) & (places[:, None] <= high)
