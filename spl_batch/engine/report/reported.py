@@ -1,6 +1,6 @@
 """Findings as a report has them: alike ones as one, in words."""
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import partial
 from string import Formatter
 from typing import Any, Final
@@ -87,7 +87,10 @@ def _within(place: Box, units: Units) -> str:
     return f"within x {west} to {east} and y {south} to {north} {name}"
 
 
-_OF_HEIGHTS: Final = {"length": partial(both, digits=None), "height": height}
+_OF_HEIGHTS: Final[Mapping[str, Callable[[float, tuple[str, float]], str]]] = {
+    "length": partial(both, digits=None),
+    "height": height,
+}
 """Specifications of values in metres, and how they are written in the unit of delivery."""
 
 
