@@ -67,3 +67,11 @@ def reprojection(outputs: OutputSettings, crs: CRS | None) -> Reprojection | Non
 def _between(crs: CRS | None, named: str | None, unit: str | None) -> Reprojection:
     """The one of a run: tasks share it, as PROJ takes 10 to 200 ms to name its CRS."""
     return Reprojection(crs, named, unit)
+
+
+def tiles_follow(outputs: OutputSettings, moved: Reprojection | None) -> bool:
+    """Whether a client's tiles are cut out of clouds of :func:`reprojection`, so in its unit.
+
+    Polygons are in the survey's CRS: in another one tiles are not made.
+    """
+    return outputs.crs is None and moved is not None and moved.moves_points
