@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from pyproj import CRS
 
+from spl_batch.airborne.context import reprojection
 from spl_batch.airborne.plan.inputs.survey_inputs import Inputs, gather_inputs
+from spl_batch.airborne.settings import OutputSettings
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.crs import horizontal, vertical
@@ -145,6 +147,16 @@ def test_heights_above_the_ellipsoid_are_those_of_their_own_survey(tmp_path: Pat
         assert gathered(tmp_path, [name] * 2, crs=deep.to_wkt()).crs == deep
         with pytest.raises(WorkflowError, match=r"vertical_crs: .* above the ellipsoid"):
             gathered(tmp_path, [deep.to_wkt()] * 2, vertical_crs="EPSG:5703")
+
+
+def test_tasks_share_what_leads_to_another_crs_whose_name_needs_no_grid() -> None:
+    crs, outputs = CRS("EPSG:2994"), OutputSettings(crs="EPSG:2992")
+    found = reprojection(outputs, crs)
+    assert found is not None
+    assert found.crs.to_epsg() == 2992
+    assert reprojection(outputs, CRS("EPSG:2994")) is found
+    with pytest.raises(WorkflowError, match="pyproj sync --file"):
+        found.check(np.array([[800_000.0, 900_000.0, 10.0]]))
 
 
 LOCAL, FOOT, US_FOOT = (1024, 32767), 9002, 9003
