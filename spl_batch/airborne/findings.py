@@ -91,7 +91,8 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "geoid": "{count:cells|lie} beyond the grid {grid}: void",
                 "grid": "{key}: {what}",
             },
-            remedy="check the CRS, the order of its axes and the coordinates",
+            remedy="check the CRS, the order of its axes and the coordinates; where a grid is "
+            "named, fetch it, or one that reaches there",
             noun="file",
         ),
         "I08": Code(

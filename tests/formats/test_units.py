@@ -216,6 +216,19 @@ def test_heights_above_the_ellipsoid_are_so_in_a_crs_that_names_none(
     assert header_names_ellipsoid(tmp_path, there)
 
 
+def test_heights_above_the_ellipsoid_of_another_datum_are_transformed() -> None:
+    there = Reprojection(CRS("EPSG:28355").to_3d(), "EPSG:7855")
+    place = np.array([[500_000.0, 6_000_000.0, 100.0]])
+    ends = CRS("EPSG:4939"), CRS("EPSG:7843")  # GDA94 and GDA2020, moved and turned
+    degrees = Transformer.from_crs("EPSG:28355", ends[0], always_xy=True)
+    x, y = degrees.transform(*place[0, :2])
+    *_, height = Transformer.from_crs(*ends, always_xy=True).transform(x, y, 100.0)
+    assert abs(height - 100.0) > 0.05
+    assert there.places(place)[0, 2] == pytest.approx(height, abs=1e-4)
+    with pytest.raises(WorkflowError, match=r"outputs\.geoid"):
+        Reprojection(CRS("EPSG:28355").to_3d(), "EPSG:7855+5711")
+
+
 def header_names_ellipsoid(folder: Path, there: Reprojection) -> bool:
     """Whether a cloud that is delivered there says that its heights are above the ellipsoid."""
     cloud = surveys.write_cloud(folder / "a.laz", surveys.flightline(shots=5), crs="EPSG:6344")
