@@ -170,7 +170,10 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             "more noise may stay, or weak signals may be lost",
             "state acquisition.gate_m as it was flown; look at the map of noise",
             "flightline",
-            implied_by=("I04:unnamed", "T02:leap", "T02:late"),
+            implied_by={
+                "": ("I04:unnamed", "T02:leap", "T02:late"),
+                "side": ("N02", "N03"),
+            },
         ),
         "N02": Code(
             "Noise is not what its model expects",
@@ -197,7 +200,7 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             "and the DSM may lie on it",
             "look at the profile there, and classify by hand what is no surface",
             "ground cell",
-            implied_by=("S01",),
+            implied_by={"": ("S01",)},
         ),
         "N07": Code(
             "Signal floats",
@@ -211,7 +214,7 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             "there: it stays signal, and the DSM may lie on it",
             "look at the profile there, and classify by hand what is no surface",
             "ground cell",
-            implied_by=("S01", "N03", "N04"),
+            implied_by={"": ("S01", "N03", "N04")},
         ),
         "N05": Code(
             "P-values of noise are not uniform",
@@ -221,7 +224,7 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             "below 1 it is thinner, and weak signals are lost",
             "look at the map of noise; see the findings on its model",
             "ground cell",
-            implied_by=("N02", "N03", "N04"),
+            implied_by={"": ("N02", "N03", "N04")},
         ),
         "N06": Code(
             "Most points are unfiltered",

@@ -55,6 +55,13 @@ def test_a_cause_leaves_out_what_follows_from_it() -> None:
     assert settled([cause], known=[cause]) == []
 
 
+def test_a_cause_may_explain_one_kind_alone() -> None:
+    side = Finding("N01", {"kind": "side", "times": 3.0, "more": "above", "side": "below"}, "a")
+    haze = Finding("N03", {"low_m": 60.0, "high_m": 90.0, "area_m2": 900.0, "ratio": 7.0})
+    assert settled([side, lost(3, "a"), haze]) == [lost(3, "a"), haze]
+    assert settled([side]) == [side]
+
+
 def test_notes_are_in_no_report() -> None:
     note = Finding("E01", {"kind": "disk", "needed": "2 GiB", "free": "1 GiB"})
     assert reported([note]) == ()

@@ -199,11 +199,12 @@ def far_beyond(
     support, lone, share, spacings = rules
     strays = 0
     for m in range(len(starts) - 1):
+        ends = (starts[m + 1] - 1, starts[m])
         for side in range(2):
             n = noise[m, side]
             if n < support:
                 continue
-            way, end = (1, starts[m + 1] - 1) if side == 0 else (-1, starts[m])
+            way, end = 1 - 2 * side, ends[side]
             widest, count = 0.0, 0
             for k in range(1, n):
                 away = way * (z[end - way * (k - 1)] - signal_z[m]) - half_m
@@ -213,6 +214,12 @@ def far_beyond(
                 if gap > widest:
                     widest, count = gap, k
             spacing = (way * (z[end - way * count] - signal_z[m]) - half_m) / (n - count)
+            # Haze crowds one side alone: beyond it noise lies as wide apart as on the other one.
+            others = noise[m, 1 - side]
+            if others > lone:
+                k = max(lone, int(share * others))
+                reach = way * (signal_z[m] - z[ends[1 - side] + way * k]) - half_m
+                spacing = max(spacing, reach / (others - k))
             # The widest of many gaps is wider than any one of them by their logarithm.
             most = spacings + math.log(max(share * (n - count), 1.0))
             if spacing > 0.0 and widest > most * spacing:

@@ -15,8 +15,14 @@ from spl_batch.airborne.noise.gains import active_channels
 from spl_batch.airborne.noise.gate import Gate, fit_gate
 from spl_batch.airborne.noise.line_model import LineModel
 from spl_batch.airborne.noise.line_noise import choose_region
-from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER
-from spl_batch.airborne.noise.noise_intervals import SUMMARY, densest_window
+from spl_batch.airborne.noise.line_statistics import (
+    BUFFER_LADDER,
+    LONE_MOST,
+    LONE_SPACINGS,
+    STRAY_SHARE,
+    SUPPORT,
+)
+from spl_batch.airborne.noise.noise_intervals import SUMMARY, densest_window, far_beyond
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.engine.findings import Finding
@@ -154,6 +160,22 @@ def test_many_stray_returns_lengthen_no_gate(count: int, gate_m: float | None) -
     # Of the fewer none has more than one other in its interval.
     assert ("strays" in kinds(found.findings)) == (count >= 1000)
     assert "strays" not in kinds(sound.findings)
+
+
+@pytest.mark.parametrize("below", [30, 12])
+def test_noise_beyond_haze_is_not_stray(below: int) -> None:
+    rng = np.random.default_rng(4)
+    intervals, half, rules = 200, 25.0, (SUPPORT, LONE_MOST, STRAY_SHARE, LONE_SPACINGS)
+    thin, haze = rng.uniform(25, 120, (intervals, 30)), rng.uniform(40, 90, (intervals, 300))
+    lower, ground = rng.uniform(-120, -25, (intervals, below)), np.zeros((intervals, 100))
+    z = np.sort(np.hstack([lower, ground, thin, haze]), axis=1)
+    noise = np.tile(np.array([330, below], np.int32), (intervals, 1))
+    starts, gone = np.arange(intervals + 1) * z.shape[1], np.zeros(z.shape, np.bool_)
+    rows = starts, z.ravel(), np.zeros(intervals), noise, half, rules, np.inf
+    assert far_beyond(*rows, gone.ravel()) == 0
+    z[:, -5:] += 500.0
+    assert far_beyond(*rows, gone.ravel()) == 5 * intervals
+    np.testing.assert_array_equal(gone, z > 120)
 
 
 @pytest.mark.parametrize(("each", "below"), [(0.4, 1.0), (3.0, 0.05)])
