@@ -158,8 +158,8 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "reach, as where ranges are wrong; they do not count",
                 "short": "the range gate is short: noise is counted from {share:.0%} of "
                 "noise.buffer_m away from the surface on",
-                "fitted": "the range gate leaves no part without signal to count noise in; the "
-                "rate is fitted to the histogram of heights",
+                "full": "the range gate leaves hardly a part without signal to count noise in: "
+                "lower noise.buffer_m if it is wide",
                 "side": "{times:.1f} times as many returns {more} the surface as on its other "
                 "side; noise is counted {side} it only",
                 "assumed": "too few returns lie away from the surface to show the range gate, so "

@@ -34,7 +34,7 @@ def test_findings_that_are_alike_are_one_the_worst_first() -> None:
 
 
 def test_other_kinds_and_wordings_stay_apart() -> None:
-    found = [lost(3, "a"), Finding("N01", {"kind": "fitted"}, "a")]
+    found = [lost(3, "a"), Finding("N01", {"kind": "full"}, "a")]
     found += [Finding("I06", {"what": text}) for text in ("this", "that", "this")]
     assert len(reported(found)) == 4
 

@@ -148,7 +148,6 @@ def count_noise(
     outside: NDArray[np.int32],
     blinded: NDArray[np.float64],
     by_channel: NDArray[np.int64],
-    profile: NDArray[np.int64],
 ) -> None:
     """Noise counts of every interval of a stretch, by the ground that is looked at; added to.
 
@@ -157,14 +156,9 @@ def count_noise(
     have counted. ``buffers``: (b,), heights around the signal that are left out, descending [m].
     ``outside``: (k, 2, b), returns that count, more than each buffer above and below the signal;
     ``blinded``: (m, 2, b), what returns there have blinded [m]; ``by_channel``: (2, b, 256).
-    ``profile``: histogram of the height below the signal in 1 m bins, zero in the middle.
     """
-    half = len(profile) // 2
     for m in range(len(starts) - 1):
         for i in range(starts[m], starts[m + 1]):
-            bin_ = int(np.floor(below[i])) + half
-            if counts[i] and 0 <= bin_ < len(profile):
-                profile[bin_] += 1
             side = 0 if below[i] < 0 else 1
             b = len(buffers) - 1
             while b >= 0 and abs(below[i]) > buffers[b]:
