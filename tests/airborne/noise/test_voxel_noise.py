@@ -94,13 +94,14 @@ def slow_deposit(
     return total
 
 
-def test_a_stretch_in_several_boxes_adds_up_to_one() -> None:
+def test_a_stretch_in_several_boxes_adds_up_to_one(monkeypatch: pytest.MonkeyPatch) -> None:
     flight = fly(shots=240)
     beams = geometry.beams(flight.table, flight.trajectory)
     model, whole = run(flight)
     place = np.column_stack((flight.table["x"], flight.table["y"]))
     gap = int(np.diff(np.sort(place, axis=0), axis=0).max()) - 1
-    parts = voxel_noise.deposit(flight.table, beams, model, SEEN, far_q=gap)
+    monkeypatch.setattr(voxel_noise, "FAR_Q", gap)
+    parts = voxel_noise.deposit(flight.table, beams, model, SEEN)
     assert len(parts) > 1
     for name in ("amount", "squares"):
         total = getattr(whole, name).astype(np.int64)
