@@ -268,9 +268,9 @@ def _smooth(
     half: int,
 ) -> NDArray[np.float64]:
     """Rate of each interval [1/m], shrunk towards that of its wider neighbourhood."""
-    if not exposure.any():
+    if exposure.sum() <= 1.0:  # a metre in all tells nothing
         return np.zeros(len(interval))
-    total = (counted.sum() + 0.5) / max(exposure.sum(), 1.0)
+    total = (counted.sum() + 0.5) / exposure.sum()
     wide_n, wide_e = (_moving(interval, v, half) for v in (counted, exposure))
     wide = (wide_n + 1.0) / (wide_e + 1.0 / total)
     near = half // 8

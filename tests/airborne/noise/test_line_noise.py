@@ -53,6 +53,7 @@ def model_of(flight: Flight, gate_m: float | None = None) -> LineModel:
         ({"gate_m": 85, "canopy_m": 25}, 85, 0.03),
         ({"detection": 0.01, "noise_per_m": 7e-5, "shots": 9000}, 300, 0.03),
         ({"gate_m": 25, "canopy_m": 8}, 25, 0.06),
+        ({"gate_m": 10, "canopy_m": 3}, 10, 0.06),
     ],
 )
 def test_rate_and_gate(scene: dict[str, object], gate_m: float, tolerance: float) -> None:
@@ -350,3 +351,13 @@ def test_a_side_with_more_returns_is_left_out(above: int, more: str) -> None:
     assert one.values["times"] == pytest.approx(2.0)
     assert one.values["more"] == more != one.values["side"]
     assert region.sides == ((0.0, 1.0) if more == "above" else (1.0, 0.0))
+
+
+def test_a_gate_without_room_for_noise_is_named_and_its_rate_is_finite() -> None:
+    short, none = (
+        model_of(fly(gate_m=length, canopy_m=canopy, shots=300), length)
+        for length, canopy in ((10.0, 3.0), (6.0, 0.0))
+    )
+    assert kinds(short.findings) == kinds(none.findings) == ["full"]
+    assert short.mean_rate > 0.0
+    assert np.all(none.rate == 0.0)
