@@ -46,4 +46,5 @@ def largest_of_squares(at: NDArray[np.int64], edge_m: float) -> tuple[float, tup
     low = squares.min(axis=0)
     marked = np.zeros((squares.max(axis=0) - low + 1)[::-1], np.bool_)
     marked[tuple((squares - low).T[::-1])] = True
-    return len(squares) * edge_m**2, patches(marked)[0].box(*(edge_m * low), edge_m)
+    west_m, south_m = (edge_m * low).tolist()
+    return len(squares) * edge_m**2, patches(marked)[0].box(west_m, south_m, edge_m)

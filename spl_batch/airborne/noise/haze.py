@@ -234,22 +234,20 @@ def _hung(counts: Counts, asked: NDArray[np.bool_], expected: Expected) -> NDArr
     i, j = np.nonzero(asked.any(axis=2))
     if not len(i):
         return out
-    layer = np.arange(counts.layer[0], counts.layer[-1] + 1)
-    at = counts.layer - layer[0]
-    seen = np.zeros((len(i), len(layer)), np.int64)
-    seen[:, at] = sum_of_square(counts.held)[i, j]
     x, y = ((k + low) * edge + edge // 2 for k, low in zip((i, j), counts.corner, strict=True))
-    place = (
-        *(axis.repeat(len(layer)) for axis in (x, y)),
-        np.tile(layer * edge + edge // 2, len(i)),
-    )
-    model = expected(place).reshape(seen.shape) * CUBE_M**3
-    heard = model > 0.0
-    more = heard & (seen > WINDOW**2 * (CLEARLY * model + 1.0))
-    clear = heard & ~more & np.logical_or.accumulate(more, axis=1)
-    # By the layer above each run.
-    runs = sliding_window_view(np.pad(clear, ((0, 0), (CLEAR, 0))), CLEAR, axis=1).all(axis=2)
-    out[i, j] = np.logical_or.accumulate(runs, axis=1)[:, at]
+    seen = sum_of_square(counts.held)[i, j]
+    run = np.zeros(len(i), np.int64)
+    solid, hung = np.zeros((2, len(i)), np.bool_)
+    for layer in range(int(counts.layer[0]), int(counts.layer[-1]) + 1):
+        h = int(np.searchsorted(counts.layer, layer))
+        held = counts.layer[h] == layer
+        model = expected((x, y, np.full(len(i), layer * edge + edge // 2))) * CUBE_M**3
+        more = held & (seen[:, h] > WINDOW**2 * (CLEARLY * model + 1.0))
+        if held:
+            out[i, j, h] = hung
+        run = np.where((model > 0.0) & ~more, run + 1, 0)
+        hung |= solid & (run >= CLEAR)
+        solid |= more & (model > 0.0)
     return out & asked
 
 
