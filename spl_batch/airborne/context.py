@@ -60,3 +60,11 @@ def reprojection(outputs: OutputSettings, crs: CRS | None) -> Reprojection | Non
     found = Reprojection(crs, outputs.crs, outputs.units)
     same = outputs.crs is None and outputs.cell is None and not found.moves_points
     return None if same else found
+
+
+def tiles_follow(outputs: OutputSettings, moved: Reprojection | None) -> bool:
+    """Whether a client's tiles are cut out of clouds of :func:`reprojection`, so in its unit.
+
+    Polygons are in the survey's CRS: in another one tiles are not made.
+    """
+    return outputs.crs is None and moved is not None and moved.moves_points

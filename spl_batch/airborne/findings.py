@@ -252,7 +252,7 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
         "S01": Code(
             "Flightlines differ in height or place",
             "{pairs} of {of} pairs of flightlines differ by more than single ranges scatter: at "
-            "worst {second} lies {offset} than {first} ({patches} planar patches)",
+            "worst {second} lies {offset:height} than {first} ({patches} planar patches)",
             "surfaces that both have seen appear twice, and the terrain follows the lower one",
             "{remedy}",
         ),

@@ -102,17 +102,16 @@ class Imaging(Receiver[Survey, Context]):
             ("ground cells", grouped(cost.cells)),
             ("margin", halo),
         ]
-        inputs, units = prepared.ledger.inputs, Units.of(prepared.ledger.inputs.crs)
+        inputs = prepared.ledger.inputs
         if settings.filtering and not inputs.trajectory:
             beams = "from where lines of sight meet, by scan_angle, or vertical"
             rows.append(("trajectory", f"none: beams are taken {beams}"))
         numbered = settings.survey.channel_dimension is not None or settings.sensor.beamlets == 1
         if settings.filtering and not numbered:
             rows.append(("beamlets", "survey.channel_dimension is not set: a shot is one beamlet"))
-        if inputs.checkpoints is not None and not units.are_metres:
-            unit = in_words(units.vertical)
-            taken = f"heights in {unit}, as the survey's, unless their CRS states another unit"
-            rows.append(("checkpoints", f"{inputs.checkpoints.name}: {taken}"))
+        if inputs.checkpoints is not None and inputs.checkpoints.units:
+            heights = " and ".join(map(in_words, inputs.checkpoints.units))
+            rows.append(("checkpoints", f"{inputs.checkpoints.name}: heights in {heights}"))
         if settings.survey.align == "vertical":
             rows.append(("alignment", "survey.align: vertical: heights of flightlines are shifted"))
         return rows
@@ -156,7 +155,7 @@ class Imaging(Receiver[Survey, Context]):
         if step.name == "sensor_path" and survey.of("sensor_path"):
             yield beams_without_trajectory(survey)
         if step.name == "align" and survey.workflow.survey.align != "none":
-            yield from _shift_notes(survey)
+            yield from _shift_notes(survey, prepared.context.shown_units)
         yield from _swath_findings(step, survey)
 
     def reference(self, ledger: Survey) -> list[str]:
@@ -236,12 +235,12 @@ def _swath_findings(step: Step, survey: Survey) -> Iterator[Finding]:
         yield from offset_warnings(pairs, survey.workflow.survey.align)
 
 
-def _shift_notes(survey: Survey) -> Iterator[Finding]:
+def _shift_notes(survey: Survey, units: Units) -> Iterator[Finding]:
     """By how much flightlines are shifted."""
     if bool(survey.of("index_file")) and is_one_flightline(survey):
         texts = ["survey.align: there is one flightline, nothing is shifted"]
     else:
         found = shifts_of(survey.of("align").values())
-        texts = [] if all(one.stays for one in found) else [done_sentence(found)]
+        texts = [] if all(one.stays for one in found) else [done_sentence(found, units)]
     for text in texts:
         yield Finding("E01", {"kind": "memory", "what": text})

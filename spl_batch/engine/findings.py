@@ -56,7 +56,7 @@ class Code:
     title: str
     #: By ``kind``, in which ``{name}`` is a value: ``{count:points|have}`` counts, others are
     #: formatted as by :func:`format`, and ``{low_m:length}`` and ``{error_m:height}`` are metres in
-    #: the unit of delivery (:mod:`spl_batch.engine.report.reported`).
+    #: the unit of delivery, or pairs of such and words (:mod:`spl_batch.engine.report.reported`).
     sentences: Mapping[str, str] | str
     consequence: str = ""
     remedy: str = ""

@@ -62,7 +62,7 @@ _Row = dict[str, Any]
 
 def read_checkpoints(
     path: Path, crs: CRS | None, own: CRS | None = None, accuracy_m: float | None = None
-) -> tuple[list[Checkpoint], list[str]]:
+) -> tuple[list[Checkpoint], list[str], list[str]]:
     """Checkpoints of a file on the axes of the survey's CRS, in metres.
 
     Parameters
@@ -83,6 +83,8 @@ def read_checkpoints(
         Those that can be used, in the file's order.
     remarks : list of str
         One sentence for each kind of fault, with the checkpoints that it concerns.
+    units : list of str
+        Units that heights are in, by PROJ's names: of the file's CRS, else of the survey's.
 
     Raises
     ------
@@ -101,7 +103,7 @@ def read_checkpoints(
     if not any("surface" in row for row in rows):
         rows = [{**row, "surface": "open"} for row in rows]
     kept = _checked(rows, accuracy_m, remarks)
-    moved = _in_crs(path, kept, crs, own, remarks)
+    moved, units = _in_crs(path, kept, crs, own, remarks)
     to_m = np.array(Units.of(crs).xyz_m)
     moved = [{**row, "xyz": (np.array(row["xyz"]) * to_m).tolist()} for row in moved]
     found = [
@@ -109,7 +111,7 @@ def read_checkpoints(
         for row in _once(moved, remarks)
         for x, y, z in [row["xyz"]]
     ]
-    return found, remarks
+    return found, remarks, units
 
 
 def _csv_rows(path: Path) -> list[_Row]:
@@ -228,9 +230,10 @@ def _once(rows: Sequence[_Row], remarks: list[str]) -> Iterator[_Row]:
 
 def _in_crs(
     path: Path, rows: Sequence[_Row], crs: CRS | None, own: CRS | None, remarks: list[str]
-) -> list[_Row]:
-    """Rows with coordinates in the survey's CRS, in their order."""
+) -> tuple[list[_Row], list[str]]:
+    """Rows with coordinates in the survey's CRS, in their order; units that heights were in."""
     placed: dict[int, _Row] = dict(enumerate(rows))
+    units: dict[str, None] = {}
     names = [str(row.get("crs") or "").strip() for row in rows]
     for stated in dict.fromkeys(names):
         members = [k for k, name in enumerate(names) if name == stated]
@@ -240,6 +243,7 @@ def _in_crs(
             why = f"the CRS {stated!r} is not known"
             remarks.append(_left_out([placed.pop(k)["id"] for k in members], why))
             continue
+        units[Units.of(source or crs).vertical] = None
         if source is None:
             continue
         if crs is None:
@@ -262,7 +266,7 @@ def _in_crs(
             how = "heights too" if heights else "heights are taken as they are"
             how = how if unit == ours else f"heights from {unit} to {ours}"
             remarks.append(f"{counted(count, 'checkpoints', 'are')} transformed {whence}; {how}")
-    return list(placed.values())
+    return list(placed.values()), list(units)
 
 
 def _ratio(path: Path, source: CRS, crs: CRS) -> float:

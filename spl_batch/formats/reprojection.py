@@ -1,6 +1,7 @@
 """Delivered clouds and rasters in another CRS or unit, places by PROJ, heights too where named."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -35,7 +36,7 @@ from spl_batch.formats.geotiff_keys import GEO_KEYS
 from spl_batch.formats.las.chunks import LASZIP_KEY, RecordReader
 from spl_batch.formats.las.frame import Frame, preamble, wkt_vlr, write_laz
 from spl_batch.formats.las.header import WKT_BIT, read_header
-from spl_batch.formats.las.records import EXTRA_BYTES_KEY, HEIGHT, added
+from spl_batch.formats.las.records import EXTRA_BYTES_KEY, HEIGHT, added, rescaled
 from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.formats.rasters.parts import (
     BLOCK,
@@ -165,7 +166,8 @@ class Reprojection:
     def cloud(self, src: Path, dst: Path) -> int:
         """Write a delivered cloud to a thousandth of the unit, all dimensions kept; its points.
 
-        Heights above ground are in the target's unit.
+        Heights above ground are in the target's unit: our own by their values, an input's, in the
+        unit of heights as well, by the scale that describes them.
         """
         header = read_header(src)
         dropped = {LASZIP_KEY, EXTRA_BYTES_KEY, WKT_KEY, LIBLAS_KEY, *GEO_KEYS}
@@ -175,11 +177,17 @@ class Reprojection:
         with RecordReader(header) as reader:
             ours = added(HEIGHT).descriptor
             above = [one.field for one in reader.layout.extra if one.descriptor == ours]
+            extra = (
+                rescaled(one, self._ratio)
+                if one.name.startswith(HEIGHT) and one.descriptor != ours
+                else one
+                for one in reader.layout.extra
+            )
             frame = Frame(
                 preamble=preamble(header.raw, header.global_encoding | WKT_BIT),
                 scales=(QUANTUM_M,) * 3,
                 offsets=(offset_x, offset_y, offset_z),
-                layout=reader.layout,
+                layout=replace(reader.layout, extra=tuple(extra)),
                 vlrs=[*(v for v in header.vlrs if v.key not in dropped), wkt_vlr(self.crs)],
                 evlrs=[(e, src) for e in header.evlrs if e.key not in dropped],
             )

@@ -95,13 +95,21 @@ def in_words(unit: str) -> str:
     return _IN_WORDS.get(unit, unit)
 
 
-def both(metres: float, unit: tuple[str, float], digits: int = 2) -> str:
-    """A length in a survey's unit with metres beside, ``12.30 ft (3.75 m)``; of metres these alone.
+def both(metres: float, unit: tuple[str, float], digits: int | None = 2) -> str:
+    """A length in a unit of delivery, metres beside: ``12.30 ft (3.75 m)``; of metres these alone.
 
-    ``unit``: its name, and the metres in it, as of :attr:`Units.of_heights`.
+    ``unit``: its name, and the metres in it, as of :attr:`Units.of_heights`; ``digits``: decimals,
+    None for none from ten on, else hundredths where there are any.
     """
-    (name, unit_m), text = unit, f"{grouped(metres, digits)} m"
-    return text if unit_m == 1.0 else f"{grouped(metres / unit_m, digits)} {name} ({text})"
+    name, unit_m = unit
+    text = f"{_decimals(metres, digits)} m"
+    return text if unit_m == 1.0 else f"{_decimals(metres / unit_m, digits)} {name} ({text})"
+
+
+def _decimals(value: float, digits: int | None) -> str:
+    if digits is None and abs(value) < 10:
+        return f"{round(value, 2):g}"
+    return grouped(value, digits or 0)
 
 
 METRES: Final = Units()

@@ -247,3 +247,44 @@ def test_the_workflow_of_a_us_county(twins: tuple[Path, Path], tmp_path: Path) -
         assert source.transform.a == 3.0
     _, _, _, (heights,) = pyogrio.raw.read(out / "contours.gpkg", columns=["height"])
     assert set(heights % 2) == {0.0}
+
+
+def test_a_clients_tiles_are_cut_out_of_clouds_and_rasters_that_are_written_again(
+    twins: tuple[Path, Path], tmp_path: Path
+) -> None:
+    (tmp_path / "lines").mkdir()
+    for path in (twins[1].parent / "lines").glob("*.laz"):
+        las = surveys.laspy.read(path)
+        las.change_scaling(scales=[0.001, 0.001, 0.01])
+        las.write(tmp_path / "lines" / path.name)
+    x, y = np.array(surveys.ORIGIN_M) / US_M
+    pyogrio.raw.write(
+        tmp_path / "tiles.gpkg", shapely.to_wkb([shapely.box(x - 60, y - 60, x + 60, y + 60)]),
+        [np.array(["A"], object)], ["name"], geometry_type="Polygon", crs=FEET,
+    )  # fmt: skip
+    tiles = tmp_path / "out" / "client_tiles"
+
+    def workflow(form: str, **outputs: object) -> Path:
+        asked = {"polygons": "tiles.gpkg", "format": form}
+        return surveys.write_workflow(tmp_path, outputs={"client_tiles": asked, **outputs})
+
+    refused = surveys.command("plan", workflow("copc", cell=3))
+    assert (refused.status, "cannot be cut into copc" in refused.err) == (2, True)
+    metres = surveys.run(workflow("copc", units="m"))
+    assert metres.exit_status == 0, metres.report.failures
+    octree = surveys.laspy.read(tiles / "A.copc.laz")
+    assert len(octree) == metres.report.counts.points_out
+    assert octree.header.scales.tolist() == [0.001] * 3
+    assert Units.of(octree.header.parse_crs()) == METRES
+    feet = surveys.run(workflow("laz", cell=3))
+    assert feet.exit_status == 0, feet.report.failures
+    cloud = surveys.laspy.read(tiles / "A.laz")
+    assert cloud.header.scales.tolist() == [0.001, 0.001, 0.01]
+    for name in surveys.PRODUCTS:
+        with (
+            rasterio.open(tiles / f"A_{name}.tif") as cut,
+            rasterio.open(tmp_path / "out" / "reprojected" / f"{name}.tif") as whole,
+        ):
+            assert (cut.transform.a, cut.units, cut.crs) == (3.0, whole.units, whole.crs)
+            window = rasterio.windows.from_bounds(*cut.bounds, whole.transform)
+            np.testing.assert_array_equal(cut.read(1), whole.read(1, window=window))

@@ -17,7 +17,7 @@ HEAD = "id,x,y,z,surface,accuracy_m\n"
 
 def read(path: Path, text: str, **how: object) -> tuple[list, list[str]]:
     path.write_text(text)
-    return read_checkpoints(path, UTM, **how)
+    return read_checkpoints(path, UTM, **how)[:2]
 
 
 def test_a_csv_is_read_as_it_stands(tmp_path: Path) -> None:
@@ -107,12 +107,14 @@ def test_feet_are_converted_by_the_unit_that_is_stated_and_refused_without(
     if z_m is None:
         with pytest.raises(InputError, match=r"no unit of heights.* reference\.checkpoints_crs"):
             read_checkpoints(path, crs)
-        ((point,), remarks) = read_checkpoints(path, crs, own=CRS(f"{file}+6360"))
+        ((point,), remarks, units) = read_checkpoints(path, crs, own=CRS(f"{file}+6360"))
         assert point.z_m == pytest.approx(100 * 1200 / 3937, abs=1e-9)
         assert "heights from US survey feet to metres" in remarks[0]
+        assert units == ["US survey foot"]
         return
-    ((point,), _) = read_checkpoints(path, crs)
+    ((point,), _, units) = read_checkpoints(path, crs)
     assert point.z_m == pytest.approx(z_m, abs=1e-9)
+    assert units == ["metre" if z_m == 100.0 else "US survey foot"]
     if survey.startswith("EPSG:2278"):
         assert point.x_m == pytest.approx(3_100_000 * 1200 / 3937, abs=1e-6)
 
@@ -122,7 +124,7 @@ def test_heights_above_the_ellipsoid_are_none_above_a_geoid(tmp_path: Path) -> N
     path.write_text("id,x,y,z,crs\nA,-95.35,29.72,20,EPSG:4979\n")
     with pytest.raises(InputError, match=r"c\.csv.* cannot be transformed from .*4979.* the grid"):
         read_checkpoints(path, CRS("EPSG:32615+5703"))
-    ((point,), _) = read_checkpoints(path, CRS("EPSG:32615"))
+    ((point,), _, _) = read_checkpoints(path, CRS("EPSG:32615"))
     assert point.z_m == 20.0
 
 
@@ -171,7 +173,7 @@ def test_a_row_without_a_point_or_with_several_leaves_out_itself(tmp_path: Path,
         geometry_type=kind,
         crs="EPSG:32615",
     )
-    found, remarks = read_checkpoints(tmp_path / "c.gpkg", UTM, own=UTM)
+    found, remarks, _ = read_checkpoints(tmp_path / "c.gpkg", UTM, own=UTM)
     wanted = [("A", 1.0, 2.0, 3.0), ("B", 11.0, 12.0, 13.0)]
     assert [(one.id, one.x_m, one.y_m, one.z_m) for one in found] == [
         (name, x, y, z if deep else 7.0) for name, x, y, z in wanted

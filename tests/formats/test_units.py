@@ -209,6 +209,26 @@ def test_a_raster_of_heights_above_the_ellipsoid_has_its_crs(tmp_path: Path) -> 
     np.testing.assert_allclose(part.values, 812.5, rtol=1e-6)
 
 
+@pytest.mark.parametrize("version", ["WKT2_2019", "WKT1_GDAL"])
+@pytest.mark.parametrize(
+    ("text", "codes"),
+    [(TEXAS, [2278, 6360]), ("EPSG:8782", [2278, 6360]), ("EPSG:5972", [25832, 5941])],
+)
+def test_a_raster_names_the_parts_of_a_crs_with_a_code_of_its_own(
+    tmp_path: Path, text: str, version: str, codes: list[int]
+) -> None:
+    crs, path = CRS.from_user_input(text).to_wkt(version), tmp_path / "dtm"
+    for _ in range(2):  # as a client's tile is cut out of another raster
+        write_cog(
+            path, np.array([[812.5]], np.float32), shape=(1, 1), origin_xy_m=(4.0, 9.0), crs=crs,
+            description="", unit="m",
+        )  # fmt: skip
+        with rasterio.open(path) as source:
+            crs = source.crs.to_wkt()
+        found = CRS.from_wkt(crs)
+        assert [part.to_epsg() for part in (horizontal(found), vertical(found))] == codes
+
+
 def test_another_unit_needs_a_crs() -> None:
     with pytest.raises(WorkflowError, match=r"outputs\.units: the survey has no CRS"):
         Reprojection(None, None, "us-ft")
@@ -265,6 +285,41 @@ def test_clouds_and_rasters_in_another_crs(tmp_path: Path) -> None:
     np.testing.assert_allclose(values[rows, cols][inner], expected[inner], atol=1e-3)
     area_m2 = len(rows) * (3.0 * US_M) ** 2
     assert area_m2 == pytest.approx(40 * 60 - 9, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("stored", "scale", "offset"),
+    [("f8", None, None), ("f4", None, None), ("i2", [0.01], [5.0]), ("u2", None, None)],
+)
+@pytest.mark.parametrize("name", ["HeightAboveGround", "HeightAboveGround_2"])
+def test_an_inputs_own_heights_above_ground_are_in_the_clouds_unit(
+    tmp_path: Path, name: str, stored: str, scale: list[float] | None, offset: list[float] | None
+) -> None:
+    path = surveys.write_cloud(tmp_path / "m.laz", surveys.flightline(shots=20))
+    las = laspy.read(surveys.in_feet(path, tmp_path / "ft.laz", TEXAS, [US_M] * 3))
+    for one in (name, "AboveRoof"):
+        las.add_extra_dim(
+            laspy.ExtraBytesParams(
+                one, stored, scales=scale and np.array(scale), offsets=offset and np.array(offset)
+            )
+        )
+        las[one] = np.arange(len(las)) % 90
+    las.write(tmp_path / "a.laz")
+    moved = Reprojection(CRS(TEXAS), None, "m")
+    assert moved.cloud(tmp_path / "a.laz", tmp_path / "b.laz") == len(las)
+    after = laspy.read(tmp_path / "b.laz")
+    np.testing.assert_allclose(after[name], np.asarray(las[name]) * US_M, rtol=1e-6)
+    np.testing.assert_array_equal(after["AboveRoof"], las["AboveRoof"])
+    np.testing.assert_allclose(after.z, np.asarray(las.z) * US_M, atol=5.1e-4)
+    Reprojection(CRS(TEXAS), "EPSG:2279").cloud(tmp_path / "a.laz", tmp_path / "c.laz")
+    described = [
+        [
+            bytes(one)
+            for one in laspy.read(path).header.vlrs.get("ExtraBytesVlr")[0].extra_bytes_structs
+        ]
+        for path in (tmp_path / "a.laz", tmp_path / "c.laz")
+    ]
+    assert described[0] == described[1]  # the same unit: nothing to convert
 
 
 @pytest.mark.parametrize(

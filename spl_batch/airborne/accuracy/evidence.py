@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 from spl_batch.airborne.accuracy.checkpoint_errors import CheckpointStatistics
 from spl_batch.airborne.pulses.swaths import SwathTotals
 from spl_batch.engine.report.number_format import height
-from spl_batch.formats.units import METRES, Units
+from spl_batch.formats.units import METRES, Units, both
 
 
 class Level(NamedTuple):
@@ -96,3 +96,7 @@ class Evidence:
     def height(self, metres: float | None) -> str:
         """A height as requirements show it."""
         return height(metres, self.units.of_heights)
+
+    def edge(self, metres: float) -> str:
+        """An edge of a square as requirements show it."""
+        return both(metres, self.units.of_places)

@@ -195,8 +195,8 @@ def _by_swath(
 
 
 def _distribution(known: Evidence) -> Requirement:
-    edge_m = 2 * LEVELS[known.level].spacing_m
-    required = f"{percent(FILLED_SHARE, 0)} of squares of {edge_m:.2f} m hold a first return"
+    edge = known.edge(2 * LEVELS[known.level].spacing_m)
+    required = f"{percent(FILLED_SHARE, 0)} of squares of {edge} hold a first return"
     place = ("Spatial distribution", f"{required}{',' + _MIDDLE if known.single else ''}")
     where = (LBS, f"{COLLECTION}, Spatial Distribution and Regularity")
     if known.pulses is None or not known.pulses.squares:
@@ -210,8 +210,8 @@ def _distribution(known: Evidence) -> Requirement:
 
 
 def _voids(known: Evidence) -> Requirement:
-    edge_m = 4 * LEVELS[known.level].spacing_m
-    required = f"no empty square of {edge_m:.2f} m, water excepted"
+    edge = known.edge(4 * LEVELS[known.level].spacing_m)
+    required = f"no empty square of {edge}, water excepted"
     place, where = ("Data voids", required), (LBS, f"{COLLECTION}, Data Voids")
     if known.pulses is None or not known.pulses.area_m2:
         return Requirement(*place, "not counted", "cannot tell", _NOT_COUNTED, *where)

@@ -29,10 +29,12 @@ from spl_batch.airborne.store.cells import Cell
 from spl_batch.airborne.store.flown_lines import SHIFTS, Pass, Shifts, read_shifts
 from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.engine.findings import Finding
+from spl_batch.engine.report.number_format import as_ascii, height
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.errors import grouped
 from spl_batch.formats.rasters.parts import RasterPart
+from spl_batch.formats.units import Units
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
 from spl_batch.lattice.tables import EXCLUDED, PointTable
 from spl_batch.lattice.tiles import quanta
@@ -199,7 +201,7 @@ def offset_warnings(pairs: Sequence[StripPair], align: str = "none") -> Iterator
         "first": pair.first,
         "second": pair.second,
         "patches": pair.patches,
-        "offset": " and ".join(_parts(pair)),
+        "offset": list(_parts(pair)),
         "up_m": pair.up_m,
         "noise_m": pair.noise_m,
         "remedy": _remedy(pair, align),
@@ -242,15 +244,16 @@ def _remedy(pair: StripPair, align: str) -> str:
     )
 
 
-def _parts(pair: StripPair) -> Iterator[str]:
+def _parts(pair: StripPair) -> Iterator[tuple[float, str]]:
+    """Differences that count [m], and which way each is."""
     if pair.is_off_vertically:
-        yield f"{100 * abs(pair.up_m):.1f} cm {'higher' if pair.up_m > 0 else 'lower'}"
+        yield abs(pair.up_m), "higher" if pair.up_m > 0 else "lower"
     if pair.is_off_horizontally and pair.east_m is not None and pair.north_m is not None:
         ways = ((pair.east_m, "east", "west"), (pair.north_m, "north", "south"))
         least = NEXT_TO * max(abs(pair.east_m), abs(pair.north_m))
         for way_m, ahead, back in ways:
             if abs(way_m) >= least:
-                yield f"{100 * abs(way_m):.0f} cm farther {ahead if way_m > 0 else back}"
+                yield abs(way_m), f"farther {ahead if way_m > 0 else back}"
 
 
 def stay_findings(lines: Sequence[AlignedLine]) -> Iterator[Finding]:
@@ -263,8 +266,8 @@ def stay_findings(lines: Sequence[AlignedLine]) -> Iterator[Finding]:
             yield Finding("S02", {"kind": "far", "up_m": one.found_m, "most_m": MOST_M}, one.name)
 
 
-def done_sentence(lines: Sequence[AlignedLine]) -> str:
-    """What a run has added to the heights of flightlines."""
+def done_sentence(lines: Sequence[AlignedLine], units: Units) -> str:
+    """What a run has added to the heights of flightlines; ``units``: of delivery."""
     shifted = [one for one in lines if not one.stays]
     if not shifted:
         return (
@@ -272,7 +275,8 @@ def done_sentence(lines: Sequence[AlignedLine]) -> str:
             "within its own error"
         )
     noun = "flightlines was" if len(shifted) == 1 else "flightlines were"
+    most = as_ascii(height(max(abs(one.up_m) for one in shifted), units.of_heights))
     return (
-        f"{grouped(len(shifted))} of {grouped(len(lines))} {noun} shifted by up to "
-        f"{100 * max(abs(one.up_m) for one in shifted):.1f} cm in height (survey.align: vertical)"
+        f"{grouped(len(shifted))} of {grouped(len(lines))} {noun} shifted by up to {most} "
+        "in height (survey.align: vertical)"
     )

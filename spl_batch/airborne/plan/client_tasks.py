@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import shapely
 
 from spl_batch.airborne.catalogue.delivered_files import REPROJECTED
-from spl_batch.airborne.context import reprojection
+from spl_batch.airborne.context import reprojection, tiles_follow
 from spl_batch.airborne.plan.space_tasks import aligned, delivered_rasters, knows_reflectance
 from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_bounds
 from spl_batch.airborne.plan.task_memory import refusal
@@ -19,7 +19,8 @@ from spl_batch.lattice.tiles import Bounds, BoxIndex, cells_touching, shared
 def client_tiles(survey: Survey) -> Iterator[Task]:
     """Named areas, each with the delivered clouds and rasters that it is cut out of.
 
-    Where outputs.units names another unit than the survey's, these are the ones in it.
+    Where outputs.units names another unit than the survey's, these are the ones in it; where
+    outputs.cell names another cell, rasters have it.
     """
     settings = survey.workflow.outputs.client_tiles
     if settings is None:
@@ -29,8 +30,10 @@ def client_tiles(survey: Survey) -> Iterator[Task]:
     index = BoxIndex({key: Bounds(b[0], b[1], b[3] + 1, b[4] + 1) for key, b in boxes.items() if b})
     outputs = survey.workflow.outputs
     moved = reprojection(outputs, survey.inputs.crs)
-    elsewhere = outputs.crs is None and moved is not None and moved.moves_points
-    rasters, of_rasters = delivered_rasters(survey, elsewhere=elsewhere)
+    elsewhere = tiles_follow(outputs, moved)
+    again = outputs.crs is None and moved is not None
+    kinds = ("reproject_raster" if again else "mosaic", *("deliver_geoid",) * (not elsewhere))
+    rasters, of_rasters = delivered_rasters(survey, kinds)
     for one in survey.inputs.areas:
         low_x, low_y, high_x, high_y = (QUANTA_PER_M * end for end in shapely.bounds(one.shape))
         # A point within may have been rounded to the next quantum.
@@ -46,8 +49,8 @@ def client_tiles(survey: Survey) -> Iterator[Task]:
             "in_another_unit": elsewhere,
             "aligned": bool(aligned(survey)),
         }
-        kinds = ("deliver_file", "reproject_file")[: 1 + elsewhere]
-        of_clouds = ((kind, key) for kind in kinds for key in keys)
+        steps = ("deliver_file", "reproject_file")[: 1 + elsewhere]
+        of_clouds = ((step, key) for step in steps for key in keys)
         needs = (*of_clouds, *of_rasters, *aligned(survey))
         flown = cells_touching(shared(bounds, mosaic_bounds(survey)), survey.tile_q)
         points = sum(survey.counts.get(tile, 0) for tile in flown)

@@ -332,12 +332,10 @@ def catalogue(survey: Survey) -> Iterator[Task]:
     yield Task("deliver_catalogue", "all", args, needs)
 
 
-def delivered_rasters(survey: Survey, *, elsewhere: bool = False) -> tuple[list[str], list[Need]]:
-    """Names of rasters below the output, and the tasks that make them.
-
-    ``elsewhere``: those in another CRS or unit.
-    """
-    kinds = ("reproject_raster",) if elsewhere else ("mosaic", "deliver_geoid")
+def delivered_rasters(
+    survey: Survey, kinds: Sequence[str] = ("mosaic", "deliver_geoid")
+) -> tuple[list[str], list[Need]]:
+    """Names of rasters below the output, and the tasks that make them, of these kinds."""
     made = [(kind, name, r) for kind in kinds for name, r in sorted(survey.of(kind).items())]
     names = [n for *_, r in made for n in r.outputs if "store/" not in n]
     return names, [(kind, name) for kind, name, _ in made]

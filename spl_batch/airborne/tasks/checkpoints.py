@@ -20,7 +20,7 @@ from spl_batch.formats.crs import parse_crs
 def checkpoints(args: Mapping[str, Any], context: Context) -> Produced:
     """Compare the terrain with checkpoints."""
     # What is wrong with single ones was told before the work began.
-    known, _ = read_named(Path(args["path"]), context.crs, context.workflow.reference)
+    known, _, _ = read_named(Path(args["path"]), context.crs, context.workflow.reference)
     found = [_record(point, _terrain_m(point, context)) for point in known]
     beyond = [one["id"] for one in found if one["error_m"] is None]
     lost = Finding("C01", {"kind": "beyond", "count": len(beyond), "names": beyond})
@@ -34,8 +34,8 @@ def checkpoints(args: Mapping[str, Any], context: Context) -> Produced:
 
 def read_named(
     path: Path, crs: CRS | None, settings: ReferenceSettings | None
-) -> tuple[list[Checkpoint], list[str]]:
-    """Checkpoints of a file as a workflow has them, and what is wrong with some.
+) -> tuple[list[Checkpoint], list[str], list[str]]:
+    """Checkpoints of a file as a workflow has them, what is wrong with some, units of heights.
 
     Raises InputError if the file as a whole cannot be used.
     """

@@ -126,20 +126,6 @@ def height(metres: float | None, unit: tuple[str, float]) -> str:
     return f"{number(metres / unit_m, 3)}{THIN}{name} ({centimetres(metres)})"
 
 
-def length_in_unit(metres: float, unit: tuple[str, float]) -> str:
-    """A length in the unit of delivery, with metres beside: whole from ten on, else hundredths.
-
-    ``unit``: as of :func:`height`.
-    """
-    name, unit_m = unit
-    shown = (
-        f"{number(value, 0) if abs(value) >= 10 else plain(round(value, 2))}{THIN}{kind}"
-        for value, kind in ((metres / unit_m, name), (metres, "m"))
-    )
-    delivered, in_metres = shown
-    return in_metres if unit_m == 1.0 else f"{delivered} ({in_metres})"
-
-
 def metres(value: float | None, digits: int = 2) -> str:
     """Metres with a fixed number of decimals."""
     return DASH if value is None else f"{number(value, digits)}{THIN}m"

@@ -1,14 +1,15 @@
 """Findings as a report has them: alike ones as one, in words."""
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from functools import partial
 from string import Formatter
 from typing import Any, Final
 
 from spl_batch.engine.findings import Box, Finding, settled, table
-from spl_batch.engine.report.number_format import as_ascii, height, length_in_unit
+from spl_batch.engine.report.number_format import as_ascii, height
 from spl_batch.engine.report.parts import FindingReport
 from spl_batch.errors import counted, grouped, named
-from spl_batch.formats.units import METRES, Units
+from spl_batch.formats.units import METRES, Units, both
 
 
 def reported(
@@ -86,7 +87,10 @@ def _within(place: Box, units: Units) -> str:
     return f"within x {west} to {east} and y {south} to {north} {name}"
 
 
-_OF_HEIGHTS: Final = {"length": length_in_unit, "height": height}
+_OF_HEIGHTS: Final[Mapping[str, Callable[[float, tuple[str, float]], str]]] = {
+    "length": partial(both, digits=None),
+    "height": height,
+}
 """Specifications of values in metres, and how they are written in the unit of delivery."""
 
 
@@ -98,6 +102,10 @@ class _Words(Formatter):
 
     def format_field(self, value: Any, format_spec: str) -> str:
         """A value in words; a specification of letters counts what it names."""
+        if format_spec in _OF_HEIGHTS and isinstance(value, list):
+            return " and ".join(
+                f"{self.format_field(metres, format_spec)} {what}" for metres, what in value
+            )
         if format_spec in _OF_HEIGHTS:
             return as_ascii(_OF_HEIGHTS[format_spec](value, self._of_heights))
         if isinstance(value, list | tuple):

@@ -142,6 +142,20 @@ def new_dimension(name: str, dtype: np.dtype[Any], text: str) -> ExtraDimension:
     return ExtraDimension(name, name, plain, None, None, bytes(described))
 
 
+def rescaled(one: ExtraDimension, factor: float) -> ExtraDimension:
+    """A dimension whose values are ``factor`` times as large; raw values, their bounds too, stay.
+
+    [LAS 1.4 R15, table 24].
+    """
+    if factor == 1.0:
+        return one
+    described = ExtraBytesStruct.from_buffer_copy(one.descriptor)
+    described.scale = [factor * scale for scale in described.scale or (1.0,) * 3]
+    described.offset = described.offset and [factor * offset for offset in described.offset]
+    offset = described.offset and described.offset[0]
+    return replace(one, scale=described.scale[0], offset=offset, descriptor=bytes(described))
+
+
 @cache
 def added(name: str) -> ExtraDimension:
     """Dimension of :data:`ADDED`; a file that describes one like that is an earlier output."""

@@ -21,7 +21,7 @@ from rasterio.windows import Window
 
 from spl_batch.constants import NODATA
 from spl_batch.errors import InputError, StoppedError
-from spl_batch.formats.crs import horizontal
+from spl_batch.formats.crs import compound, horizontal
 from spl_batch.formats.files.atomic import replacing, scratch_folder
 from spl_batch.formats.units import Units
 
@@ -87,8 +87,8 @@ def write_cog(
     if whole is not None and len(whole.axis_info) > 2 and not whole.is_compound:
         # GeoTIFF has no keys for a projected CRS in three dimensions; the band states the unit.
         known_crs = rasterio.crs.CRS.from_wkt(horizontal(whole).to_wkt())
-    elif known_crs is not None and units.vertical_m != 1.0:
-        known_crs = _with_code_of_heights(known_crs, units)
+    elif whole is not None:
+        known_crs = _with_codes(known_crs, whole, units)
     unit, unit_m = units.of_values(unit)
     if unit_m != 1.0:
         pieces = ((row, col, _divided(block, unit_m, nodata)) for row, col, block in pieces)
@@ -120,10 +120,18 @@ def write_cog(
         raise _stopped(path, shape, error) from error
 
 
-def _with_code_of_heights(crs: rasterio.crs.CRS, units: Units) -> rasterio.crs.CRS:
-    """The same where EPSG's code is beside the unit of heights: without, GDAL writes metres."""
+def _with_codes(crs: rasterio.crs.CRS, whole: CRS, units: Units) -> rasterio.crs.CRS:
+    """The same with the codes that GDAL writes, of a compound's parts and of the unit of heights.
+
+    Where a compound has a code, WKT 2 leaves out those of its parts, and GDAL names another datum
+    of heights; without the unit's, which is EPSG's too, it writes metres.
+    """
+    code = whole.to_authority(min_confidence=100) if whole.is_compound else None
+    if code is not None:
+        parts = compound(*CRS.from_authority(*code).sub_crs_list)
+        crs = rasterio.crs.CRS.from_wkt(parts.to_wkt())
     known = get_units_map(auth_name="EPSG", category="linear").get(units.vertical)
-    if known is None:
+    if known is None or units.vertical_m == 1.0:
         return crs
     coded = rf'\1,ID["EPSG",{known.code}]]'
     return rasterio.crs.CRS.from_wkt(_UNIT_OF_HEIGHTS.sub(coded, crs.to_wkt(version="WKT2_2019")))

@@ -8,6 +8,8 @@ from spl_batch.airborne.accuracy.checkpoint_errors import CheckpointError, at_ch
 from spl_batch.airborne.accuracy.evidence import LEVELS, Evidence, PulseTotals, SwathDifferences
 from spl_batch.airborne.accuracy.requirements import answers, requirements
 from spl_batch.airborne.pulses.swaths import SwathTotals
+from spl_batch.engine.report.number_format import as_ascii
+from spl_batch.formats.units import Units
 
 NOTHING = Evidence(
     level="QL2",
@@ -125,3 +127,17 @@ def test_what_nobody_measured_cannot_be_told() -> None:
 )  # fmt: skip
 def test_each_verdict_turns_at_its_limit(change: dict, name: str, expected: str) -> None:
     assert verdict(replace(NOTHING, **change), name) == expected
+
+
+def test_lengths_are_in_the_unit_of_delivery_with_metres_beside() -> None:
+    asked = []
+    for units in (Units(), Units("US survey foot", 1200 / 3937, "metre", 1.0)):
+        rows = requirements(replace(NOTHING, units=units))
+        asked += [as_ascii(row.required) for row in rows if "square" in row.required]
+    within = "hold a first return, within the edges of each flightline"
+    assert asked == [
+        f"90 % of squares of 1.42 m {within}",
+        "no empty square of 2.84 m, water excepted",
+        f"90 % of squares of 4.66 ft (1.42 m) {within}",
+        "no empty square of 9.32 ft (2.84 m), water excepted",
+    ]

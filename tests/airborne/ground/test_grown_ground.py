@@ -82,12 +82,26 @@ def test_nothing_grows_from_a_few_nodes_on_a_roof() -> None:
     assert not grown(xyz, grid, nearest_node(grid), ground, 1.0)[upper].sum() > len(few)
 
 
+@pytest.mark.parametrize(("gap_m", "grows"), [(0.0, True), (2.0, False)])
+def test_the_side_of_a_dam_on_even_ground_is_climbed_from_its_foot_but_no_roof(
+    gap_m: float, *, grows: bool
+) -> None:
+    x, y = (along.ravel() for along in np.meshgrid(np.arange(70.0), np.arange(12.0)))
+    z = np.where(np.abs(x - 35) < 5, gap_m + 0.9 * (5 - np.abs(x - 35)), 0.0)
+    xyz = np.column_stack([x, y, z])
+    grid = lowest_nodes(xyz, np.ones(len(x), dtype=np.bool_), 1.0)
+    ground = (np.abs(x - 35) > 3) & ((z == 0) | (y > 4) & (x < 35))
+    top = (np.abs(x - 35) < 3) & (x <= 35)
+    assert barred(xyz, grid, ground, 1.0)[1].all()
+    assert grown(xyz, grid, nearest_node(grid), ground, 1.0)[top].mean() == grows
+
+
 @pytest.mark.parametrize("stretched", [1.0, 2.5])
 @pytest.mark.parametrize("seed", range(2))
 def test_nodes_between_two_steps_are_those_of_a_slow_twin(seed: int, stretched: float) -> None:
     xyz, grid, ground = hillside(seed)
     xyz = xyz * [1.0, 1.0, stretched]
-    found = barred(xyz, grid, ground, 1.0)
+    roof, even = barred(xyz, grid, ground, 1.0)
     trend = fit_trend(xyz[ground], xyz[:, 0], xyz[:, 1])
     east, north = (
         trend_at(trend._replace(height=np.gradient(trend.height, TREND_M, axis=a)), *xyz[:, :2].T)
@@ -109,7 +123,7 @@ def test_nodes_between_two_steps_are_those_of_a_slow_twin(seed: int, stretched: 
         )
         low, high = np.maximum(cell - round(ASIDE_M), 0), cell + round(ASIDE_M) + 1
         level = tilt[low[0] : high[0], low[1] : high[1]].max() <= TILT
-        assert found[*cell] == (stands or level)
+        assert (roof[*cell], even[*cell]) == (stands, level)
         ends += stands
     assert ends > 5
 
@@ -213,7 +227,9 @@ def _grown(xyz: Float, grid: NDArray[np.int64], ground: Mask) -> Mask:
     """Round by round, every node against planes of one side by least squares."""
     nearest = nearest_node(grid)
     held = grid >= 0
-    free = dict(zip(grid[held], ~barred(xyz, grid, ground, 1.0)[held], strict=True))
+    roof, even = (cells[held] for cells in barred(xyz, grid, ground, 1.0))
+    free = dict(zip(grid[held], ~roof, strict=True))
+    sloping = dict(zip(grid[held], ~even, strict=True))
     other = held & ~ground[grid]
     wall = dict(zip(grid[held], edges(xyz[nearest, 2], other, 1.0)[held], strict=True))
     nodes = np.array(sorted(free))
@@ -233,7 +249,7 @@ def _grown(xyz: Float, grid: NDArray[np.int64], ground: Mask) -> Mask:
                 part[root(i)] = root(j)
     size = Counter(root(i) for i in graph)
     level = {i for i in graph if size[root(i)] >= ISLAND}
-    steep = {i for i in graph if free[i]}
+    steep = {i for i in graph if free[i] and (i in level or sloping[i])}
     out, fresh = set(graph), set(graph)
     for _ in range(ROUNDS):
         asked = [i for i in nodes if i not in out and fresh & set(order[i][:8].tolist())]

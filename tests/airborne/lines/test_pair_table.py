@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from spl_batch.airborne.lines.comparison import _Cell, _overlaps, offset_warnings
+from spl_batch.airborne.lines.alignment import AlignedLine
+from spl_batch.airborne.lines.comparison import _Cell, _overlaps, done_sentence, offset_warnings
 from spl_batch.airborne.lines.pair_table import (
     DETERMINED_M,
     FEWEST,
@@ -13,6 +14,8 @@ from spl_batch.airborne.lines.pair_table import (
     pair_table,
 )
 from spl_batch.airborne.lines.patches import Patches
+from spl_batch.engine.report.reported import reported
+from spl_batch.formats.units import METRES, US_FOOT, Units
 from tests.airborne.lines.two_strips import (
     Heights,
     Shift,
@@ -107,3 +110,21 @@ def test_the_worst_pair_is_named_with_number_and_place() -> None:
     many = [replace(pair(Shift(up=0.2)), second=f"s{k}") for k in range(6)]
     (worst,) = offset_warnings([*many, pair(Shift())])
     assert worst.values["pairs"] == 6
+
+
+FEET = Units(US_FOOT, 1200 / 3937, US_FOOT, 1200 / 3937)
+
+
+@pytest.mark.parametrize(
+    ("units", "up", "east"),
+    [(METRES, "20.0 cm", "30.0 cm"), (FEET, "0.656 ft (20.0 cm)", "0.984 ft (30.0 cm)")],
+)
+def test_differences_and_shifts_are_in_the_unit_of_delivery(
+    units: Units, up: str, east: str
+) -> None:
+    found = replace(pair(Shift(0.3, -0.2, 0.2)), up_m=0.2, east_m=0.3, north_m=-0.2)
+    (said,) = reported(offset_warnings([found]), units=units)
+    offset = f"{up} higher and {east} farther east and {up} farther south"
+    assert f"at worst two lies {offset} than one (" in said.sentence
+    shifts = [AlignedLine("one", 0.0, None, stays="kept"), AlignedLine("two", -0.2, -0.2, stays="")]
+    assert f"1 of 2 flightlines was shifted by up to {up} in height" in done_sentence(shifts, units)

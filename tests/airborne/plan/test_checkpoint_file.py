@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from spl_batch import api
 from tests import surveys
 
 HEAD = "id,x,y,z,surface,accuracy_m,crs\n"
@@ -38,7 +39,7 @@ def test_faults_of_the_file_stop_a_plan_and_those_of_single_checkpoints_warn(
     assert "lies within the survey" not in said
 
 
-US_M, FEET = 1200 / 3937, "EPSG:2278+6360"
+US_M, FEET, METRES = 1200 / 3937, "EPSG:2278+6360", "EPSG:32140+5703"
 
 
 @pytest.mark.parametrize(
@@ -63,9 +64,30 @@ def test_metres_beside_a_survey_in_feet_are_named(
     ended = surveys.command("plan", workflow)
     text = " ".join(ended.text.split())
     assert said in text
-    assert ("c.csv: heights in US survey feet, as the survey's" in text) == (ended.status == 0)
+    unit = "metres" if crs == "EPSG:2278+5703" else "US survey feet"
+    assert (f"checkpoints c.csv: heights in {unit} " in f"{text} ") == (ended.status == 0)
     assert ended.status == (2 if crs == "EPSG:32140" else 0)
     assert ("C01" in ended.text) == bool(said and ended.status == 0)
+
+
+def test_far_noise_in_the_headers_box_makes_no_good_checkpoint_a_bad_one(tmp_path: Path) -> None:
+    line = surveys.flightline(shots=20, noise=0.0)
+    line["z"][:2] = -9_000.0, 9_000.0
+    surveys.write_cloud(tmp_path / "lines" / "a.laz", line)
+    (tmp_path / "c.csv").write_text(f"{HEAD}A,{EAST + 0.5},{NORTH},20.02,open,0.01,\n")
+    workflow = surveys.write_workflow(tmp_path, reference={"checkpoints": "c.csv"})
+    assert not surveys.found(api.plan(workflow).findings, "C01")
+
+
+def test_every_unit_of_a_file_is_named(tmp_path: Path) -> None:
+    surveys.write_cloud(tmp_path / "lines" / "a.laz", surveys.flightline(shots=20), crs=METRES)
+    places = [f"A,{EAST + 1},{NORTH},20,open,0.01,\n", f"B,{EAST},{NORTH},20,vva,0.01,{METRES}\n"]
+    foot = f"C,{(EAST + 1) / US_M},{NORTH / US_M},{20 / US_M},open,0.01,{FEET}\n"
+    workflow = surveys.write_workflow(tmp_path, reference={"checkpoints": "c.csv"})
+    for rows, said in ((places, "metres"), ([*places, foot], "metres and US survey feet")):
+        (tmp_path / "c.csv").write_text(HEAD + "".join(rows))
+        text = " ".join(surveys.command("plan", workflow).text.split())
+        assert f"checkpoints c.csv: heights in {said} " in f"{text} "
 
 
 def test_places_are_in_the_units_of_the_survey(tmp_path: Path) -> None:

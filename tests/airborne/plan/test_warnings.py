@@ -1,11 +1,14 @@
 """Users are warned of what is wrong, once, in words that say what to do."""
 
+import shutil
 from pathlib import Path
 from typing import Any
 
 import laspy
 import numpy as np
+import pyogrio
 import pytest
+import shapely
 import yaml
 
 from spl_batch import api
@@ -89,3 +92,43 @@ def test_files_that_count_from_0_and_from_1_are_told_together() -> None:
     (one,) = unnamed_channels(held, SENSOR)
     assert one.values["ranges"] == "1 to 100 in a.laz and 0 to 99 in b.laz"
     assert unnamed_channels({"c.laz": held["c.laz"]}, SENSOR) == ()
+
+
+@pytest.mark.parametrize(
+    ("outputs", "per_m2"),
+    [
+        # seven in the store, seven mosaics; six again, six as tiles
+        ({}, 14 / 0.2**2),
+        ({"crs": "EPSG:32614"}, 20 / 0.2**2),
+        ({"units": "us-ft", "cell": 3}, 14 / 0.2**2 + 6 / (3 * 1200 / 3937) ** 2),
+        ({"client_tiles": {"polygons": "tiles.gpkg"}}, 20 / 0.2**2),
+        ({"client_tiles": {"polygons": "tiles.gpkg"}, "cell": 0.5}, 14 / 0.2**2 + 12 / 0.5**2),
+        (
+            {"client_tiles": {"polygons": "tiles.gpkg"}, "cell": 0.5, "crs": "EPSG:32614"},
+            20 / 0.2**2 + 6 / 0.5**2,
+        ),
+    ],
+)
+def test_a_disk_with_room_for_points_and_none_for_rasters_is_named(
+    small: Path, monkeypatch: pytest.MonkeyPatch, outputs: dict[str, Any], per_m2: float
+) -> None:
+    x, y = surveys.ORIGIN_M
+    pyogrio.raw.write(
+        small.parent / "tiles.gpkg", shapely.to_wkb([shapely.box(x, y, x + 9, y + 9)]),
+        [np.array(["A"], object)], ["name"], geometry_type="Polygon", crs=surveys.CRS_NAME,
+    )  # fmt: skip
+    content = yaml.safe_load(small.read_text())
+    plans = []
+    for cell_m in (50.0, 0.2):
+        content |= {"products": {"cell_m": cell_m}, "outputs": {**outputs}}
+        if cell_m == 50.0 and "cell" in outputs:
+            content["outputs"]["cell"] = 50.0
+        small.write_text(yaml.safe_dump(content))
+        plans.append(api.plan(small))
+        usage = shutil.disk_usage(small.parent)._replace(free=plans[0].cost.disk_bytes + 2**20)
+        monkeypatch.setattr(shutil, "disk_usage", lambda _, usage=usage: usage)
+    assert [len(surveys.found(plan.findings, "E01")) for plan in plans] == [0, 1]
+    coarse, fine = (plan.cost for plan in plans)
+    area_m2 = fine.tiles * 100.0**2
+    rasters = fine.disk_bytes - coarse.disk_bytes
+    assert rasters == pytest.approx(4 * per_m2 * area_m2, rel=1e-2)

@@ -12,15 +12,15 @@ Five things look alike and are kept out:
 
 - a deck continues the road, but between two walls (:func:`edges`): no level ground grows there.
 - where no wall is within the window, the opening has cut off plants and cars: nothing level grows.
-- a town on even ground has steep roofs and walls: nothing steep grows where the trend is level.
+- a town on even ground has steep roofs and walls: where the trend is level nothing steep grows from
+  an island, a few nodes that hang together without a step. The side of a dam starts from land.
 - a roof on a hillside is steep as well, and the opening leaves its uphill eave. But a roof ends: on
   the contour line through it the surface falls by a step on both sides, as it does not from a
   crest, a cliff or a terrace, which follow the contour (:func:`barred`).
-- what an opening leaves of a roof would grow over all of it: nothing level grows from an island, a
-  few nodes that hang together without a step.
+- what an opening leaves of a roof would grow over all of it: nothing level grows from an island.
 """
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +61,7 @@ EAVE_M: Final = 1.0
 CLIFF_M: Final = 8.0
 """A roof on a hillside ends on both sides along the contour, where the trend rises by more than the
 first, within the second, by a fall of the third, but no cliff's; where the trend within the second
-rises by no more than the first nothing steep grows [rise/run, m, m, m]."""
+rises by no more than the first nothing steep grows from islands [rise/run, m, m, m]."""
 
 WALL_M: Final = 1.5
 EDGE_M: Final = 2.0
@@ -79,6 +79,13 @@ ROUNDS: Final = 40
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
+
+
+class Sources(NamedTuple):
+    """Nodes that ground grows from, steep and level: (n,) bool each."""
+
+    steep: Mask
+    level: Mask
 
 
 def grown(xyz: Float, grid: Index, nearest: Index, ground: Mask, cell_m: float) -> Mask:
@@ -104,12 +111,14 @@ def grown(xyz: Float, grid: Index, nearest: Index, ground: Mask, cell_m: float) 
         return ground
     nodes, known = xyz[index], ground[index]
     around = nearest_nodes(nodes)
-    bar = barred(xyz, grid, ground, cell_m)[full]
+    roof, even = (cells[full] for cells in barred(xyz, grid, ground, cell_m))
+    land = on_land(nodes, around, known)
     other = full.copy()
     other[full] = ~known
     beside_wall = edges(xyz[nearest, 2], other, cell_m)[full]
     found = known.copy()
-    _grow(nodes, around, beside_wall, ~bar, on_land(nodes, around, known), found)
+    sources = Sources(~roof & known & (land | ~even), land)
+    _grow(nodes, around, beside_wall, ~roof, sources, found)
     out = ground.copy()
     out[index[found]] = True
     return out
@@ -140,11 +149,11 @@ def on_land(nodes: Float, around: Index, ground: Mask) -> Mask:
 
 @njit()
 def _grow(
-    nodes: Float, around: Index, beside_wall: Mask, free: Mask, land: Mask, ground: Mask
+    nodes: Float, around: Index, beside_wall: Mask, free: Mask, sources: Sources, ground: Mask
 ) -> None:
-    """Let ground grow round by round: level beside walls from land, steep from cells not barred."""
+    """Let ground grow round by round: level beside walls, steep in cells that are free."""
     fresh = ground.copy()
-    steep, level = (ground & free).astype(np.float64), land.astype(np.float64)
+    steep, level = sources.steep.astype(np.float64), sources.level.astype(np.float64)
     for _ in range(ROUNDS):
         there, here = np.zeros(len(nodes), np.bool_), np.zeros(len(nodes), np.bool_)
         for i in range(len(nodes)):
@@ -165,19 +174,24 @@ def _grow(
         level[here] = 1.0
 
 
-def barred(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> Mask:
-    """Cells where nothing steep grows: (rows, columns) bool.
+def barred(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> tuple[Mask, Mask]:
+    """Cells where nothing steep grows, and those where it grows from no island.
 
-    The trend is level there, or the surface ends in a step on both sides along the contour.
+    The surface ends in a step on both sides along the contour, and the trend is level.
 
     Parameters
     ----------
     xyz, grid, ground, cell_m
         As :func:`grown` has them.
+
+    Returns
+    -------
+    roof, even : (rows, columns) bool
+        The one and the other.
     """
-    out = np.zeros(grid.shape, dtype=np.bool_)
+    roof = np.zeros(grid.shape, dtype=np.bool_)
     if not ground.any():
-        return out
+        return roof, roof
     x, y, z = xyz.T
     trend = fit_trend(xyz[ground], x, y)
     north, east = (
@@ -190,10 +204,10 @@ def barred(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> Mask:
     away = ndimage.distance_transform_edt(~(full & ground[grid])) * cell_m
     asked = full & (away <= CONTOUR_M) & (above > EAVE_M / 2)
     edge, far = (round(along / cell_m) for along in (EDGE_M, ASIDE_M))
-    _end_both_ways(above, z[grid], north, east, edge, far, asked, out)
+    _end_both_ways(above, z[grid], north, east, edge, far, asked, roof)
     tilt = np.where(full, np.hypot(north, east), 0.0)
-    level: Mask = ndimage.maximum_filter(tilt, 2 * far + 1) <= TILT
-    return out | level
+    even: Mask = ndimage.maximum_filter(tilt, 2 * far + 1) <= TILT
+    return roof, even
 
 
 @njit()

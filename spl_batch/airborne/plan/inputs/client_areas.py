@@ -7,8 +7,10 @@ from typing import Final
 import numpy as np
 from pyproj import CRS
 
+from spl_batch.airborne.context import reprojection, tiles_follow
 from spl_batch.airborne.plan.inputs.file_positions import ASTRAY, beside, boxes_of
 from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.plan.input_files import name_below
 from spl_batch.errors import InputError, WorkflowError, as_input_fault
 from spl_batch.formats.las.convert import copied_format
@@ -35,8 +37,11 @@ def client_tiles(
     if tiles is None:
         return ()
     path = base / tiles.polygons
+    # Clouds in another unit have one scale, whatever the input's.
+    outputs = workflow.outputs
+    kept = tiles.format == "copc" and not tiles_follow(outputs, reprojection(outputs, crs))
     for facts in files:
-        scales = facts.scales if tiles.format == "copc" else (1.0, 1.0, 1.0)
+        scales = facts.scales if kept else (QUANTUM_M,) * 3
         if copc_fault(copied_format(facts.point_format), scales) is not None:
             raise WorkflowError(
                 f"outputs.client_tiles: {name_below(facts.path, base)}: point format "

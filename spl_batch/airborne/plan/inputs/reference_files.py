@@ -98,6 +98,7 @@ class CheckpointFile(NamedTuple):
 
     path: Path
     name: str
+    units: Sequence[str] = ()  #: Units that its heights are in, by PROJ's names.
 
 
 def named_file(settings: ReferenceSettings | None, base: Path) -> CheckpointFile | None:
@@ -113,20 +114,22 @@ def looked_into(
     crs: CRS | None,
     settings: ReferenceSettings | None,
     files: Sequence[LasFacts],
-) -> list[Finding]:
-    """Findings on the file before the work starts; raises WorkflowError where it is of no use.
+) -> tuple[CheckpointFile | None, list[Finding]]:
+    """The file with its units, and findings on it, before the work starts.
 
-    ``files``: those of the survey; without any nothing is read.
+    Raises WorkflowError where it is of no use. ``files``: those of the survey; without any nothing
+    is read.
     """
     if file is None or not files:
-        return []
+        return file, []
     try:
         with as_input_fault(file.path):
-            known, told = read_named(file.path, crs, settings)
+            known, told, units = read_named(file.path, crs, settings)
     except InputError as fault:
         raise WorkflowError(f"reference.checkpoints: {fault}") from None
     told += _misplaced(known, [(f.mins_m, f.maxs_m) for f in files if f.n_points], Units.of(crs))
-    return [Finding("C01", {"kind": "file", "what": text}, file.name) for text in told]
+    findings = [Finding("C01", {"kind": "file", "what": text}, file.name) for text in told]
+    return file._replace(units=units), findings
 
 
 def _misplaced(
@@ -134,7 +137,11 @@ def _misplaced(
     boxes: Sequence[tuple[Sequence[float], Sequence[float]]],
     units: Units,
 ) -> Iterator[str]:
-    """Where all checkpoints lie and where the survey does: a wrong CRS, or unit, shows at once."""
+    """Where all checkpoints lie and where the survey does: a wrong CRS, or unit, shows at once.
+
+    Headers' boxes hold far noise too, which makes them larger: nothing is named wrongly for that. A
+    wrong unit that it hides is named beside the terrain, once there is one.
+    """
     places = np.array([(point.x_m, point.y_m, point.z_m) for point in points]).reshape(-1, 3)
     low, high = (np.array([box[end] for box in boxes]).reshape(-1, 3) for end in (0, 1))
     inside = (places[:, None] >= low) & (places[:, None] <= high)

@@ -157,7 +157,8 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     ]
     placed = [(name_below(facts.path, base), facts) for facts in good]
     warnings += [*degrees_as_metres(placed), *far_positions(placed), *saved_again(placed)]
-    warnings += looked_into(checkpoints, crs, workflow.reference, good)
+    checkpoints, told = looked_into(checkpoints, crs, workflow.reference, good)
+    warnings += told
     warnings += crs_findings(crs, placed, stated=workflow.survey.crs is not None)
     names = _delivered_names([f.path for f in good], base)
     sources = tuple(
