@@ -63,7 +63,7 @@ TASK_S: Final[Mapping[str, float]] = MappingProxyType(
 """What a task takes however few points it has [s]: files to open and to put in place, and air and
 raster cells to look through. From the same runs; the sparse one of them has little else."""
 
-COPC_POINTS_PER_S: Final = 0.28e6
+COPC_POINTS_PER_S: Final = 0.7e6
 """Points per second that become an octree."""
 
 ALONE_S: Final = 5.0

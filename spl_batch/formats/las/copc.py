@@ -167,14 +167,15 @@ def _nodes_of_level(
     """Nodes of one level; their records are positions in ``rest``."""
     place = xyz[rest] >> max(log2_size - level, 0)
     cell_shift = log2_size - level - _CELLS_LOG2
-    order = np.lexsort((np.arange(len(rest)), place[:, 2], place[:, 1], place[:, 0]))
+    order = np.lexsort((place[:, 2], place[:, 1], place[:, 0]))
     new_node = np.flatnonzero(np.any(np.diff(place[order], axis=0) != 0, axis=1)) + 1
     for members in np.split(order, new_node):
         keys = place[members[0]].tolist()
         # Cells no larger than a coordinate step cannot thin any more.
         if len(members) > _LEAF_POINTS and cell_shift > 0:
-            cells = xyz[rest[members]] >> cell_shift
-            _, first = np.unique(cells, axis=0, return_index=True)
+            x, y, z = (xyz[rest[members]] >> cell_shift).T & (2**_CELLS_LOG2 - 1)
+            cells = ((x << _CELLS_LOG2 | y) << _CELLS_LOG2) | z
+            _, first = np.unique(cells, return_index=True)
             members = members[np.sort(first)]  # noqa: PLW2901 - the node's share of them
         yield Node(level, keys[0], keys[1], keys[2], members)
 
