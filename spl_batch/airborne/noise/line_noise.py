@@ -25,18 +25,12 @@ from scipy.special import ndtr
 from spl_batch.airborne.noise.gains import active_channels, channel_gains, ground, prior_weight
 from spl_batch.airborne.noise.gate import Gate, fit_gate
 from spl_batch.airborne.noise.line_model import LineModel
-from spl_batch.airborne.noise.line_statistics import (
-    BUFFER_LADDER,
-    merge,
-    observe,
-)
+from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER
 from spl_batch.airborne.noise.noise_intervals import SUMMARY
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.engine.findings import Finding
 from spl_batch.lattice.tables import BeamTable, PointTable
-
-__all__ = ["LineModel", "fit", "gate_of", "line_density", "merge", "observe"]
 
 SEEN_TARGET: Final = 15.0
 """Seen beamlets that a window of shots should have; exp(-15) of the windows are empty."""
@@ -62,7 +56,8 @@ def fit(
     Parameters
     ----------
     merged : dict
-        Statistics of all its stretches, from :func:`merge`.
+        Statistics of all its stretches, from
+        :func:`~spl_batch.airborne.noise.line_statistics.merge`.
     sensor : Sensor
         Beamlets per shot, and the gate's length where it is known.
     """
