@@ -112,7 +112,7 @@ def ground_points(
     xyz : (n, 3) array_like
         Easting, northing, height in a projected CRS [m].
     labels : Labels or (n,) array_like, optional
-        What :func:`filter_points` says of them, or their noise class (0 signal), or a mask of the
+        What :func:`.filter_points` says of them, or their noise class (0 signal), or a mask of the
         signal. Without it every point is signal, as in clouds that were filtered before.
     water : (n,) array_like of bool, optional
         Points over water, whose surface is level.

@@ -270,7 +270,7 @@ def _has_peers(  # type: ignore[no-untyped-def]
     xyz, ground, start, grid, p, cell, limit, wanted, ratio2, cap2, nearest, spacing
 ):
     """Whether a return has enough peers within a distance, itself among them."""
-    # `filter.ellipsoid.spacing.peers_within` is given all spacings. Here few are needed and each
+    # `filter.ellipsoid.spacing.peer_distances` is given all spacings. Here few are needed and each
     # costs a search, so they are found on the way.
     cols, size = grid
     rows, row, col = (len(start) - 1) // cols, cell // cols, cell % cols

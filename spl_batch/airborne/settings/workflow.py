@@ -149,7 +149,7 @@ def parse_workflow(content: Mapping[str, Any], where: str) -> Workflow:
 
 
 def load_workflow(path: Path, overrides: Sequence[str] = ()) -> Workflow:
-    """Read the workflow file of an airborne survey; see :func:`load_any`.
+    """Read the workflow file of an airborne survey; see :func:`.load_any`.
 
     Raises
     ------
