@@ -67,8 +67,8 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
         ),
         "I07": Code(
             "Channels without returns",
-            "{dead} of {beamlets} channels have no returns; gaps in the numbers of the others, from "
-            "{first} to {last}: {gaps}",
+            "{dead} of {beamlets} channels have no returns; gaps in the numbers of the others, "
+            "from {first} to {last}: {gaps}",
             "they are taken into account",
             "tell who maintains the instrument if it had more before",
             "flightline",
