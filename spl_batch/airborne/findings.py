@@ -67,7 +67,8 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
         ),
         "I07": Code(
             "Channels without returns",
-            "{dead} of {beamlets} channels have no returns: {what}",
+            "{dead} of {beamlets} channels have no returns; gaps in the numbers of the others, "
+            "from {first} to {last}: {gaps}",
             "they are taken into account",
             "tell who maintains the instrument if it had more before",
             "flightline",
@@ -161,8 +162,8 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "reach, as where ranges are wrong; they do not count",
                 "short": "the range gate is short: noise is counted from {share:.0%} of "
                 "noise.buffer_m away from the surface on",
-                "fitted": "the range gate leaves no part without signal to count noise in; the "
-                "rate is fitted to the histogram of heights",
+                "full": "the range gate leaves hardly a part without signal to count noise in: "
+                "lower noise.buffer_m if it is wide",
                 "side": "{times:.1f} times as many returns {more} the surface as on its other "
                 "side; noise is counted {side} it only",
                 "assumed": "too few returns lie away from the surface to show the range gate, so "
@@ -173,7 +174,10 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             "more noise may stay, or weak signals may be lost",
             "state acquisition.gate_m as it was flown; look at the map of noise",
             "flightline",
-            implied_by=("I04:unnamed", "T02:leap", "T02:late"),
+            implied_by={
+                "": ("I04:unnamed", "T02:leap", "T02:late"),
+                "side": ("N02", "N03"),
+            },
         ),
         "N02": Code(
             "Noise is not what its model expects",
@@ -200,7 +204,7 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             "and the DSM may lie on it",
             "look at the profile there, and classify by hand what is no surface",
             "ground cell",
-            implied_by=("S01",),
+            implied_by={"": ("S01",)},
         ),
         "N07": Code(
             "Signal floats",
@@ -214,7 +218,7 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             "there: it stays signal, and the DSM may lie on it",
             "look at the profile there, and classify by hand what is no surface",
             "ground cell",
-            implied_by=("S01", "N03", "N04"),
+            implied_by={"": ("S01", "N03", "N04")},
         ),
         "N05": Code(
             "P-values of noise are not uniform",
@@ -224,7 +228,7 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             "below 1 it is thinner, and weak signals are lost",
             "look at the map of noise; see the findings on its model",
             "ground cell",
-            implied_by=("N02", "N03", "N04"),
+            implied_by={"": ("N02", "N03", "N04")},
         ),
         "N06": Code(
             "Most points are unfiltered",

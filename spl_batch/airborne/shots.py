@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from spl_batch.airborne.afterpulse import afterpulse_law, candidates
 from spl_batch.airborne.afterpulse.afterpulse_law import AfterpulseLaw
 from spl_batch.airborne.beams.told_apart import told_apart
-from spl_batch.airborne.noise import gains, line_noise
-from spl_batch.airborne.noise.line_noise import LineModel
+from spl_batch.airborne.noise import gains, line_noise, line_statistics
+from spl_batch.airborne.noise.line_model import LineModel
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.airborne.settings.workflow import Workflow
@@ -53,7 +53,7 @@ def observe(
     table: PointTable, beams: BeamTable, settings: NoiseSettings, beamlets: Beamlets
 ) -> dict[str, NDArray[Any]]:
     """Noise statistics of a stretch, at least one point, and those of its afterpulses."""
-    observed = line_noise.observe(table, beams, settings, beamlets.stated.gate_m)
+    observed = line_statistics.observe(table, beams, settings, beamlets.stated.gate_m)
     if beamlets.unnumbered:
         table, order = told_apart(table, beams, beamlets.stated)
         beams = beams.take(order)
@@ -68,7 +68,7 @@ def fit(
     And the noise that the law was fitted to: without channels the model's is that of a whole shot.
     """
     sensor = beamlets.seen
-    model = line_noise.fit(line_noise.merge(list(parts)), settings, sensor)
+    model = line_noise.fit(line_statistics.merge(list(parts)), settings, sensor)
     of_one = beamlets.stated.beamlets if beamlets.unnumbered else 1
     rate = model.mean_rate / of_one
     return model, afterpulse_law.fit(list(parts), rate, sensor), rate

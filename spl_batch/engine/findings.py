@@ -8,7 +8,7 @@ to decide anything.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from types import MappingProxyType
 from typing import Any, Final, Literal, NamedTuple
@@ -62,13 +62,17 @@ class Code:
     remedy: str = ""
     noun: str = ""  #: What a subject is called; one ``file`` needs no such word before its name.
     severity: Severity = "warning"
-    #: Codes, or ``code:kind``, that explain it: where one of them is found of the same subject, or
-    #: of all, this one is left out.
-    implied_by: tuple[str, ...] = ()
+    #: By ``kind``, empty for all: codes, or ``code:kind``, that explain it. Where one of them is
+    #: found of the same subject, or of all, this one is left out.
+    implied_by: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def sentence(self, kind: str = "") -> str:
         """Template of a kind."""
         return self.sentences if isinstance(self.sentences, str) else self.sentences[kind]
+
+    def causes(self, kind: str = "") -> tuple[str, ...]:
+        """What explains a finding of a kind."""
+        return (*self.implied_by.get("", ()), *self.implied_by.get(kind, ()))
 
 
 CODES: Final[Mapping[str, Code]] = MappingProxyType(
@@ -161,7 +165,7 @@ def settled(
     for one in new:
         explained = any(
             one.subject in causes.get(code, ()) or "" in causes.get(code, ())
-            for code in table()[one.code].implied_by
+            for code in table()[one.code].causes(one.values.get("kind", ""))
         )
         seen = alike.setdefault((one.code, one.subject), [])
         if not explained and one not in seen:

@@ -34,7 +34,7 @@ def test_findings_that_are_alike_are_one_the_worst_first() -> None:
 
 
 def test_other_kinds_and_wordings_stay_apart() -> None:
-    found = [lost(3, "a"), Finding("N01", {"kind": "fitted"}, "a")]
+    found = [lost(3, "a"), Finding("N01", {"kind": "full"}, "a")]
     found += [Finding("I06", {"what": text}) for text in ("this", "that", "this")]
     assert len(reported(found)) == 4
 
@@ -53,6 +53,13 @@ def test_a_cause_leaves_out_what_follows_from_it() -> None:
     assert [one.subject for one in settled([cause, *follows])] == ["a", "b"]
     assert [one.subject for one in settled(follows, known=[cause])] == ["b"]
     assert settled([cause], known=[cause]) == []
+
+
+def test_a_cause_may_explain_one_kind_alone() -> None:
+    side = Finding("N01", {"kind": "side", "times": 3.0, "more": "above", "side": "below"}, "a")
+    haze = Finding("N03", {"low_m": 60.0, "high_m": 90.0, "area_m2": 900.0, "ratio": 7.0})
+    assert settled([side, lost(3, "a"), haze]) == [lost(3, "a"), haze]
+    assert settled([side]) == [side]
 
 
 def test_notes_are_in_no_report() -> None:

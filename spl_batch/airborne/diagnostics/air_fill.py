@@ -144,13 +144,11 @@ def fill_facts(filled: Marks, core: Bounds) -> dict[str, list[float]]:
     found = [one for one in patches(anywhere) if one.squares >= PLACES]
     if not found:
         return {FILLED: []}
-    (first, behind), (left, right) = found[0].rows, found[0].columns
-    own = air[first:behind, left:right][found[0].marked]
+    own = air[found[0].at][found[0].marked]
     low_m = float(np.median(own.argmax(axis=1))) + FLOOR_M
     high_m = float(np.median(own.shape[1] - 1 - own[:, ::-1].argmax(axis=1))) + BLOCK + FLOOR_M
-    west, south = (-(-side // _EDGE) * PLACE_M for side in (core.xmin, core.ymin))
-    box = [west + PLACE_M * left, south + PLACE_M * first]
-    box += [west + PLACE_M * right, south + PLACE_M * behind]
+    west_m, south_m = (-(-side // _EDGE) * PLACE_M for side in (core.xmin, core.ymin))
+    box = found[0].box(west_m, south_m, PLACE_M)
     area_m2 = PLACE_M**2 * sum(one.squares for one in found)
     return {FILLED: [area_m2, low_m, high_m, *box]}
 

@@ -10,8 +10,8 @@ the model's, in bands of 20 m of height, for the whole survey and for each block
 uniform if its model holds: clusters, or denser noise, have too many of them, thinner noise too few.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from spl_batch.airborne.noise.haze import CUBE_M, WINDOW
 from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.run_record import Receipts
+from spl_batch.engine.tasks.task import Receipt
 
 RATIO: Final = 1.25
 SHARE: Final = 0.15
@@ -55,89 +56,64 @@ P_TIMES: Final = (0.5, 1.5)
 0.64, and nothing is lost."""
 
 
-class Band(NamedTuple):
-    """Noise between two heights."""
-
-    low_m: float
-    high_m: float
-    ratio: float  #: Returns over those that are expected.
-    off: float  #: Returns too many or too few, over all that are expected at any height [1].
-
-
-class Haze(NamedTuple):
-    """Air that sends light back before the surface does, of a whole survey."""
-
-    low_m: float  #: Height above which 95 % of its returns lie.
-    high_m: float  #: Height below which 95 % of them lie.
-    area_m2: float
-    place: tuple[float, float, float, float]  #: Box around its largest place [m].
-    returns: int
-    per_m3: float  #: Mean density of these [1/m3].
-    times_expected: float  #: These over the number that the model expects, of at least one.
-
-
 def noise_findings(done: Receipts) -> Iterator[Finding]:
     """Noise that differs from what is expected, haze, and p-values that are not uniform."""
     yield from _layer_findings(done.get("denoise", {}))
     found = haze(done)
     if found is not None:
-        values = {
-            "low_m": found.low_m,
-            "high_m": found.high_m,
-            "area_m2": found.area_m2,
-            "ratio": found.times_expected,
-        }
-        yield Finding("N03", values, place=found.place)
-    yield from _p_value_findings(done)
+        yield found
+    yield from _p_value_findings(done.get("ground", {}))
 
 
-def _layer_findings(blocks: Mapping[str, Any]) -> Iterator[Finding]:
+def _layer_findings(blocks: Mapping[str, Receipt]) -> Iterator[Finding]:
     rows = {name: receipt.facts.get("layers", ()) for name, receipt in blocks.items()}
-    whole = _bands([row for some in rows.values() for row in some], RATIO, SHARE)
-    for band in sorted(whole, key=lambda one: -one.off)[:1]:
-        yield _of_band(band)
+    whole = _worst_band([row for some in rows.values() for row in some], RATIO, SHARE)
+    if whole is not None:
+        yield whole
+        return
     for name, some in rows.items():
-        if whole or sum(row[2] for row in some) < CELL_LEAST:
-            continue
-        for band in sorted(_bands(some, CELL_RATIO, CELL_SHARE), key=lambda one: -one.off)[:1]:
-            core = blocks[name].facts["core"]
-            place = tuple(side * QUANTUM_M for side in core)
-            yield _of_band(band, name, place)
+        found = _worst_band(some, CELL_RATIO, CELL_SHARE)
+        if found is not None and sum(row[2] for row in some) >= CELL_LEAST:
+            yield found._replace(subject=name, place=_place(blocks[name]))
 
 
-def _of_band(band: Band, name: str = "", place: tuple[float, ...] | None = None) -> Finding:
-    values = {"ratio": band.ratio, "low_m": band.low_m, "high_m": band.high_m}
-    return Finding("N02", values, name, place, band.off)
+def _place(receipt: Receipt) -> tuple[float, ...]:
+    """What a task owns [m]."""
+    return tuple(side * QUANTUM_M for side in receipt.facts["core"])
 
 
-def _bands(layers: Sequence[Sequence[float]], ratio: float, share: float) -> list[Band]:
-    """Heights in which noise differs from what is expected, joined where they touch.
+def _worst_band(layers: Sequence[Sequence[float]], ratio: float, share: float) -> Finding | None:
+    """Heights in which noise differs most from what is expected, joined where they touch.
 
     ``layers``: index, returns and expected returns of each.
     """
     rows = np.array(layers, dtype=np.float64).reshape(-1, 3)
     if not len(rows):
-        return []
+        return None
     band, at = np.unique(np.floor(rows[:, 0] / BAND), return_inverse=True)
     seen, expected = (np.bincount(at, rows[:, k]).astype(np.float64) for k in (1, 2))
     differs = np.abs(seen - expected) > SIGMAS * np.sqrt(np.maximum(expected, 1.0))
     differs &= (seen > ratio * expected) | (seen < expected / ratio)
     total = float(expected.sum())
-    if expected[differs].sum() < share * total:
-        return []
+    if not differs.any() or expected[differs].sum() < share * total:
+        return None
     more, edge = seen > expected, BAND * CUBE_M
     same = (np.diff(band) == 1) & (differs[1:] == differs[:-1]) & (more[1:] == more[:-1])
-    found = []
-    for run in np.split(np.arange(len(band)), np.flatnonzero(~same) + 1):
-        if differs[run[0]]:
-            here, model = float(seen[run].sum()), float(expected[run].sum())
-            low_m, high_m = float(band[run[0]]) * edge, float(band[run[-1]] + 1) * edge
-            off = abs(here - model) / total
-            found.append(Band(low_m, high_m, min(here / max(model, 1e-3), 999.0), off))
-    return found
+    runs = np.split(np.arange(len(band)), np.flatnonzero(~same) + 1)
+    run = max(
+        (run for run in runs if differs[run[0]]),
+        key=lambda run: abs(float(seen[run].sum() - expected[run].sum())),
+    )
+    here, model = float(seen[run].sum()), float(expected[run].sum())
+    values = {
+        "ratio": min(here / max(model, 1e-3), 999.0),
+        "low_m": float(band[run[0]]) * edge,
+        "high_m": float(band[run[-1]] + 1) * edge,
+    }
+    return Finding("N02", values, badness=abs(here - model) / total)
 
 
-def haze(done: Receipts) -> Haze | None:
+def haze(done: Receipts) -> Finding | None:
     """Haze of a whole survey; None where there is less than :data:`HAZE_M2`."""
     listed = [
         place
@@ -145,27 +121,22 @@ def haze(done: Receipts) -> Haze | None:
         for place in receipt.facts.get("air", ())
         if place[8] >= RATIO * place[9]
     ]
-    if not listed:
-        return None
-    rows = np.array(listed)
+    rows = np.array(listed).reshape(-1, 10)
     area_m2 = float(rows[:, 6].sum()) * CUBE_M**2
     if area_m2 < HAZE_M2:
         return None
     at = (rows[:, :2] // WINDOW).astype(np.int64)
     _, place = largest_of_squares(at, WINDOW * CUBE_M)
-    returns, expected = float(rows[:, 8].sum()), float(rows[:, 9].sum())
     low_m, high_m = (
         CUBE_M * _weighted(rows[:, k], rows[:, 8], share) for k, share in ((4, 0.05), (5, 0.95))
     )
-    return Haze(
-        low_m,
-        high_m + CUBE_M,
-        area_m2,
-        place,
-        int(returns),
-        returns / (float(rows[:, 7].sum()) * CUBE_M**3),
-        returns / max(expected, 1.0),
-    )
+    values = {
+        "low_m": low_m,
+        "high_m": high_m + CUBE_M,
+        "area_m2": area_m2,
+        "ratio": float(rows[:, 8].sum()) / max(float(rows[:, 9].sum()), 1.0),
+    }
+    return Finding("N03", values, place=place)
 
 
 def _weighted(values: NDArray[np.float64], weights: NDArray[np.float64], share: float) -> float:
@@ -190,36 +161,28 @@ def uniformity(counts: NDArray[np.int64]) -> tuple[float, float] | None:
     return float(times[worst]), P_VALUES[worst]
 
 
-def p_values(done: Receipts) -> NDArray[np.int64]:
-    """Returns of a whole survey by p-value, where noise lies alone."""
+def p_values(cells: Iterable[Receipt]) -> NDArray[np.int64]:
+    """Returns of ground cells by p-value, where noise lies alone."""
     counts = np.zeros(len(P_VALUES) + 1, np.int64)
-    for receipt in done.get("ground", {}).values():
+    for receipt in cells:
         counts += np.array(receipt.facts.get("p_values", counts * 0), np.int64)
     return counts
 
 
-def _not_uniform(counts: NDArray[np.int64]) -> tuple[float, float] | None:
+def _p_value_findings(cells: Mapping[str, Receipt]) -> Iterator[Finding]:
+    off = [
+        found._replace(subject=name, place=_place(receipt))
+        for name, receipt in cells.items()
+        if (found := _not_uniform(p_values([receipt]))) is not None
+    ]
+    whole = None if off else _not_uniform(p_values(cells.values()))
+    yield from off if whole is None else [whole]
+
+
+def _not_uniform(counts: NDArray[np.int64]) -> Finding | None:
     """What :func:`uniformity` finds where it is a reason to warn."""
     found = uniformity(counts)
-    return None if found is None or P_TIMES[0] < found[0] < P_TIMES[1] else found
-
-
-def _p_value_findings(done: Receipts) -> Iterator[Finding]:
-    cells = done.get("ground", {})
-    known = {name: r.facts for name, r in cells.items() if "p_values" in r.facts}
-    off = []
-    for name, facts in known.items():
-        found = _not_uniform(np.array(facts["p_values"], np.int64))
-        if found is not None:
-            off.append((name, found, facts))
-    if off:
-        for name, (times, value), facts in off:
-            place = tuple(side * QUANTUM_M for side in facts["core"])
-            values = {"times": times, "p_value": value, "returns": sum(facts["p_values"])}
-            yield Finding("N05", values, name, place, abs(float(np.log(max(times, 1e-6)))))
-        return
-    total = p_values(done)
-    found = _not_uniform(total)
-    if found is not None:
-        values = {"times": found[0], "p_value": found[1], "returns": int(total.sum())}
-        yield Finding("N05", values)
+    if found is None or P_TIMES[0] < found[0] < P_TIMES[1]:
+        return None
+    values = {"times": found[0], "p_value": found[1], "returns": int(counts.sum())}
+    return Finding("N05", values, badness=abs(float(np.log(max(found[0], 1e-6)))))

@@ -83,7 +83,7 @@ def noise_by_layer(
         cube = np.arange(counts.held.shape[axis]) + counts.corner[axis]
         middle = cube * edge + edge // 2
         inside.append((cube % WINDOW == half) & (low <= middle) & (middle < high))
-    asked[np.ix_(*inside, np.ones(len(counts.layer), np.bool_))] = True
+    asked[np.ix_(*inside, counts.held.any(axis=(0, 1)))] = True
     full = sum_of_square(np.asarray(counts.held.any(axis=2), np.int64)) == WINDOW**2
     asked &= full[:, :, np.newaxis]
     columns, cells = (sum_of_square(pairs) for pairs in (counts.columns, counts.cells))

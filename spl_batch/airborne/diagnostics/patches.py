@@ -11,12 +11,21 @@ BESIDE = np.ones((3, 3), np.bool_)
 
 
 class Patch(NamedTuple):
-    """Squares of a grid that hang together."""
+    """Squares of a grid that hang together; its rows go north, its columns east."""
 
     squares: int  #: Their number [count].
-    rows: tuple[int, int]  #: First one, and the one behind the last.
-    columns: tuple[int, int]
+    at: tuple[slice, slice]  #: Rows and columns around them.
     marked: NDArray[np.bool_]  #: The squares, of these rows and columns.
+
+    def box(self, west_m: float, south_m: float, edge_m: float) -> tuple[float, ...]:
+        """West, south, east and north [m]; of a grid with this corner and edge of a square."""
+        rows, columns = self.at
+        return (
+            float(west_m + edge_m * columns.start),
+            float(south_m + edge_m * rows.start),
+            float(west_m + edge_m * columns.stop),
+            float(south_m + edge_m * rows.stop),
+        )
 
 
 def patches(marked: NDArray[np.bool_]) -> list[Patch]:
@@ -25,29 +34,17 @@ def patches(marked: NDArray[np.bool_]) -> list[Patch]:
     sizes = np.bincount(number.ravel(), minlength=count + 1)[1:]
     boxes = ndimage.find_objects(number)
     order = np.argsort(-sizes, kind="stable").tolist()
-    return [
-        Patch(
-            int(sizes[k]),
-            (boxes[k][0].start, boxes[k][0].stop),
-            (boxes[k][1].start, boxes[k][1].stop),
-            number[boxes[k]] == k + 1,
-        )
-        for k in order
-    ]
+    return [Patch(int(sizes[k]), boxes[k], number[boxes[k]] == k + 1) for k in order]
 
 
-def largest_of_squares(
-    at: NDArray[np.int64], edge_m: float
-) -> tuple[float, tuple[float, float, float, float]]:
+def largest_of_squares(at: NDArray[np.int64], edge_m: float) -> tuple[float, tuple[float, ...]]:
     """Area of squares of an absolute grid [m2], and the box around their largest patch [m].
 
     ``at`` (n, 2): column and row of each square; at least one.
     """
     squares = np.unique(at, axis=0)
     low = squares.min(axis=0)
-    marked = np.zeros(squares.max(axis=0) - low + 1, np.bool_)
-    marked[tuple((squares - low).T)] = True
-    first = patches(marked)[0]
-    west, east = (edge_m * (low[0] + side) for side in first.rows)
-    south, north = (edge_m * (low[1] + side) for side in first.columns)
-    return len(squares) * edge_m**2, (float(west), float(south), float(east), float(north))
+    marked = np.zeros((squares.max(axis=0) - low + 1)[::-1], np.bool_)
+    marked[tuple((squares - low).T[::-1])] = True
+    west_m, south_m = (edge_m * low).tolist()
+    return len(squares) * edge_m**2, patches(marked)[0].box(west_m, south_m, edge_m)

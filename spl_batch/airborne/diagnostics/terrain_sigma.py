@@ -30,16 +30,9 @@ def terrain_facts(quality: NDArray[np.float32], dtm: NDArray[np.float32], core: 
     known = int(np.count_nonzero(dtm != NODATA))
     fact: list[float] = [known, int(np.count_nonzero(unsure))]
     if unsure.any():
-        largest = patches(unsure)[0]
+        largest = patches(unsure[::-1])[0]
         edge_m = (core.xmax - core.xmin) / quality.shape[1] * QUANTUM_M
-        west_m, north_m = core.xmin * QUANTUM_M, core.ymax * QUANTUM_M
-        (first, behind), (left, right) = largest.rows, largest.columns
-        box = [
-            west_m + left * edge_m,
-            north_m - behind * edge_m,
-            west_m + right * edge_m,
-            north_m - first * edge_m,
-        ]
+        box = largest.box(core.xmin * QUANTUM_M, core.ymin * QUANTUM_M, edge_m)
         fact += [largest.squares * edge_m**2, *box]
     return {FACT: fact}
 

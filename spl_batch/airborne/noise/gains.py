@@ -14,7 +14,6 @@ from spl_batch.airborne.noise.ground_cells import STRIDE, cells
 from spl_batch.airborne.noise.line_model import LineModel
 from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.findings import Finding
-from spl_batch.errors import named
 from spl_batch.lattice.tables import BeamTable, PointTable
 
 CLEAR_SIGMA: Final = 3.0
@@ -38,21 +37,13 @@ def active_channels(
     if seen.sum() < 10 * beamlets or alive == beamlets:
         return beamlets, np.ones(256), ()
     gain = live.astype(np.float64) * (beamlets / alive)
-    dead = beamlets - alive
-    which = _dead(np.flatnonzero(live), beamlets)
-    values = {"dead": dead, "beamlets": beamlets, "what": which}
+    numbers, dead = np.flatnonzero(live), beamlets - alive
+    first, last = int(numbers[0]), int(numbers[-1])
+    gaps = np.setdiff1d(np.arange(first, last), numbers).tolist()
+    values = {
+        "dead": dead, "beamlets": beamlets, "first": first, "last": last, "gaps": gaps or "none",
+    }  # fmt: skip
     return beamlets, gain, (Finding("I07", values, badness=dead),)
-
-
-def _dead(live: NDArray[np.int64], beamlets: int) -> str:
-    """Channels without returns, as far as their neighbours show their numbers."""
-    within = np.setdiff1d(np.arange(live[0], live[-1]), live).tolist()
-    dead, ends = beamlets - len(live), f"below {live[0]} or above {live[-1]}"
-    if not within:
-        return f"{dead} {ends}"
-    if len(within) > dead:
-        return f"{dead} among {named(within)}"
-    return named(within) + (f", and {dead - len(within)} {ends}" * (dead > len(within)))
 
 
 def channel_gains(

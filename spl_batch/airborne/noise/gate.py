@@ -141,16 +141,13 @@ def _edges(
     total = noise.sum(axis=1)
     shortfall = _spacing_m(extent, total, half_m)
     supported = (total >= SUPPORT) & (shortfall < 0.1 * extent)
-    if not supported.any():
-        low = np.minimum.reduceat(extremes[0], starts)
-        high = np.maximum.reduceat(extremes[1], starts)
-        slant = float(np.median(high - low)) / named[1]
-        return _Edges(*named, low, high, slant, supported=False)
-    low, high = low - shortfall, high + shortfall
-    low[~supported] = np.median(low[supported])
-    high[~supported] = np.median(high[supported])
-    slant = float(np.median((high - low)[supported])) / named[1]
-    return _Edges(*named, low, high, slant, supported=True)
+    if supported.any():
+        low, high = low - shortfall, high + shortfall
+        low[~supported] = np.median(low[supported])
+        high[~supported] = np.median(high[supported])
+    told = (high - low)[supported] if supported.any() else extent
+    slant = float(np.median(told)) / named[1]
+    return _Edges(*named, low, high, slant, supported=bool(supported.any()))
 
 
 def _spacing_m(extent: Any, noise: Any, half_m: float) -> Any:

@@ -100,7 +100,7 @@ class Counts(NamedTuple):
     """Returns of cubes, and their pairs in columns and cells."""
 
     corner: tuple[int, int]  #: Index of the first cube along x and y on the absolute lattice.
-    layer: NDArray[np.int64]  #: (l,): index of each layer; those without a return are left out.
+    layer: NDArray[np.int64]  #: (l,): index of each layer that holds a return or lies beside one.
     held: NDArray[np.int32]  #: (nx, ny, l): returns [count].
     #: (nx, ny, l): ordered pairs of them that share a column, and a cell.
     columns: NDArray[np.int64]
@@ -138,9 +138,10 @@ def count_cubes(xyz: Axes, counted: NDArray[np.bool_]) -> Counts | None:
     cube = [axis // parts for axis in cell]
     low = [int(axis.min()) for axis in cube]
     nx, ny, nz = (int(axis.max()) - least + 1 for axis, least in zip(cube, low, strict=True))
-    held = np.bincount(cube[2] - low[2], minlength=nz) > 0
-    layer = np.flatnonzero(held)
-    cube[2] = (np.cumsum(held) - 1)[cube[2] - low[2]]
+    above = cube[2] - low[2] + 1
+    near = ndimage.binary_dilation(np.bincount(above, minlength=nz + 2) > 0)
+    layer = np.flatnonzero(near)
+    cube[2] = (np.cumsum(near) - 1)[above]
     corner = (low[0] - half, low[1] - half)
     shape = (nx + 2 * half, ny + 2 * half, len(layer))
     # One number for each cell: those of a column follow each other, and those of a cube.
@@ -163,7 +164,7 @@ def count_cubes(xyz: Axes, counted: NDArray[np.bool_]) -> Counts | None:
             (of_cell, in_cell * (in_cell - 1)),
         )
     )
-    return Counts(corner, layer + low[2], count.astype(np.int32), columns, cells)
+    return Counts(corner, layer + low[2] - 1, count.astype(np.int32), columns, cells)
 
 
 def find_air(counts: Counts, expected: Expected) -> Air | None:
@@ -209,9 +210,6 @@ def _even(counts: Counts) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     steady = ndimage.maximum_filter1d(seen, 3) <= STEADY * ndimage.minimum_filter1d(seen, 3)
     in_columns = sum_of_square(counts.columns, EACH, EACH, THREE)
     even = in_columns >= 2 * PAIRS_LEAST
-    # Layers that are left out lie between others.
-    even[:, :, 1:-1] &= counts.layer[2:] - counts.layer[:-2] == 2
-    even[:, :, [0, -1]] = False
     in_columns = EVEN * in_columns
     even &= round(CUBE_M / CELL_M) * sum_of_square(counts.cells, EACH, EACH, THREE) <= in_columns
     return even, steady
@@ -290,11 +288,7 @@ def _around(
     held = (level > 0) & (counts.held > 0) & (counts.held <= SOLID * level)
     middle = np.where(held, ndimage.median_filter(counts.held, (3, 3, 1), mode="constant"), 0)
     middle = np.minimum(middle, SOLID * level)
-    largest = ndimage.maximum_filter(middle, (3, 3, 1), mode="constant").astype(np.float64)
-    joined = np.diff(counts.layer) == 1
-    wide = largest.copy()
-    wide[:, :, 1:][:, :, joined] = np.maximum(wide[:, :, 1:], largest[:, :, :-1])[:, :, joined]
-    wide[:, :, :-1][:, :, joined] = np.maximum(wide[:, :, :-1], largest[:, :, 1:])[:, :, joined]
+    wide = ndimage.maximum_filter(middle, 3, mode="constant").astype(np.float64)
     # A cube beside the air that holds much more holds something else.
     wide[counts.held > SOLID * wide] *= level[counts.held > SOLID * wide] > 0
     at = np.nonzero(wide)

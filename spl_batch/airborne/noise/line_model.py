@@ -1,7 +1,7 @@
 """Line noise model of one flightline as a value, and its way to disk and back."""
 
 from dataclasses import dataclass, fields
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,6 +84,4 @@ class LineModel:
             for f in fields(cls)
             if f.name != "findings"
         }
-        content["kind"] = cast("Kind", content["kind"])
-        content["gate_basis"] = cast("Basis", content["gate_basis"])
         return cls(**content)

@@ -11,9 +11,8 @@ Sources: [W17] Eq. 5.1, [W18] 2.2.1.
 
 Deviations: silent shots count as fired; R is what the gate really leaves, as a slant length; the
 ground has a gain. The buffer around the signal is the largest of a ladder that leaves a fifth of
-the gate, and a side of the signal that disagrees, as signal reaches into it, is left out; where
-nothing is left, the uniform part of the gate's histogram is fitted. Rates of intervals are shrunk
-towards their neighbours (empirical Bayes, gamma prior).
+the gate, or the narrowest, and a side of the signal that disagrees, as signal reaches into it, is
+left out. Rates of intervals are shrunk towards their neighbours (empirical Bayes, gamma prior).
 """
 
 from collections.abc import Iterator
@@ -26,19 +25,12 @@ from scipy.special import ndtr
 from spl_batch.airborne.noise.gains import active_channels, channel_gains, ground, prior_weight
 from spl_batch.airborne.noise.gate import Gate, fit_gate
 from spl_batch.airborne.noise.line_model import LineModel
-from spl_batch.airborne.noise.line_statistics import (
-    BUFFER_LADDER,
-    PROFILE_BINS,
-    merge,
-    observe,
-)
+from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER
 from spl_batch.airborne.noise.noise_intervals import SUMMARY
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.engine.findings import Finding
 from spl_batch.lattice.tables import BeamTable, PointTable
-
-__all__ = ["LineModel", "fit", "gate_of", "line_density", "merge", "observe"]
 
 SEEN_TARGET: Final = 15.0
 """Seen beamlets that a window of shots should have; exp(-15) of the windows are empty."""
@@ -64,7 +56,8 @@ def fit(
     Parameters
     ----------
     merged : dict
-        Statistics of all its stretches, from :func:`merge`.
+        Statistics of all its stretches, from
+        :func:`~spl_batch.airborne.noise.line_statistics.merge`.
     sensor : Sensor
         Beamlets per shot, and the gate's length where it is known.
     """
@@ -80,21 +73,15 @@ def fit(
     length = offered_lengths(gate, summary, settings.buffer_m)
     region = choose_region(outside, fired[:, None, None] * length, fired, gate, summary)
     sides = np.array(region.sides)
-    if not sides.any():
-        flat = profile_rate(merged["profile"], gate, summary, fired)
-        rate, gain = np.full(len(interval), flat), gain_active
-        cell, of_cell = np.empty(0, np.int64), np.empty(0)
-    else:
-        counted = (outside[:, :, region.buffer] @ sides).astype(np.int64)
-        nearer = max(region.buffer, NEARER)
-        blinded = np.where(present[:, None, None], merged["blinded"][rows], 0.0)
-        listened = np.maximum(sides @ (fired[:, None, None] * length - blinded), 0.0)
-        heard = listened[:, region.buffer]
-        rate = _smooth(interval, counted, heard, settings.smooth_intervals)
-        expected = rate * listened[:, [region.buffer, nearer]].T
-        cell, of_cell = ground(merged, interval, expected, (region.buffer, nearer), sides)
-        by_channel = sides.astype(np.int64) @ merged["by_channel"][:, region.buffer]
-        gain = channel_gains(by_channel, gain_active)
+    counted = (outside[:, :, region.buffer] @ sides).astype(np.int64)
+    nearer = max(region.buffer, NEARER)
+    blinded = np.where(present[:, None, None], merged["blinded"][rows], 0.0)
+    listened = np.maximum(sides @ (fired[:, None, None] * length - blinded), 0.0)
+    heard = listened[:, region.buffer]
+    rate = _smooth(interval, counted, heard, settings.smooth_intervals)
+    expected = rate * listened[:, [region.buffer, nearer]].T
+    cell, of_cell = ground(merged, interval, expected, (region.buffer, nearer), sides)
+    by_channel = sides.astype(np.int64) @ merged["by_channel"][:, region.buffer]
     seen = np.where(present, merged["beamlets"][rows], 0)
     # Where channels are not told apart, each return counts as a beamlet.
     looks = seen if beamlets > 1 else np.where(present, merged["returns"][rows], 0)
@@ -105,7 +92,7 @@ def fit(
         last=last,
         near=gate.near,
         far=gate.far,
-        gain=gain,
+        gain=channel_gains(by_channel, gain_active),
         seen_fraction=np.minimum(seen / fired, 1.0),
         kind=gate.kind,
         gate_m=gate.length_m,
@@ -176,7 +163,7 @@ def choose_region(
     whole = float(np.sum(fired * np.maximum(above + below, 0.0)))
     wide = np.flatnonzero(offered.sum(axis=0) >= REGION_MIN * whole)
     if whole <= 0 or len(wide) == 0:
-        return Region(0, (0.0, 0.0), (Finding("N01", {"kind": "fitted"}),))
+        return Region(len(BUFFER_LADDER) - 1, (1.0, 1.0), (Finding("N01", {"kind": "full"}),))
     b = int(wide[0])
     share = BUFFER_LADDER[b]
     # The part of the gate taken for signal had to shrink.
@@ -194,31 +181,6 @@ def choose_region(
     values = {"kind": "side", "times": times, "more": more, "side": side}
     used = (0.0, 1.0) if up > down else (1.0, 0.0)
     return Region(b, used, (*notes, Finding("N01", values, badness=times)))
-
-
-def profile_rate(
-    profile: NDArray[np.int64],
-    gate: Gate,
-    summary: NDArray[np.float64],
-    fired: NDArray[np.float64],
-) -> float:
-    """Uniform part of the histogram of heights around the signal [1/m].
-
-    Signal only adds: the lower quartile of the bins' rates is background wherever signal fills less
-    than three quarters of the gate.
-    """
-    above, below = _around_signal(gate, summary)
-    cosine, half = summary[:, SUMMARY.index("cosine")], PROFILE_BINS // 2
-    edges = np.clip(np.stack([-above * cosine, below * cosine]) + half, 0, PROFILE_BINS - 1)
-    step = np.zeros(PROFILE_BINS)
-    np.add.at(step, np.ceil(edges[0]).astype(np.int64), fired / cosine)
-    np.add.at(step, np.maximum(np.floor(edges[1]), np.ceil(edges[0])).astype(np.int64),
-              -fired / cosine)  # fmt: skip
-    exposure = np.cumsum(step)
-    use = exposure > 0.5 * exposure.max()
-    if not use.any():
-        return 0.0
-    return float(np.quantile(profile[use] / exposure[use], 0.25))
 
 
 def _remarks(merged: dict[str, NDArray[Any]]) -> Iterator[Finding]:
@@ -301,7 +263,9 @@ def _smooth(
     half: int,
 ) -> NDArray[np.float64]:
     """Rate of each interval [1/m], shrunk towards that of its wider neighbourhood."""
-    total = (counted.sum() + 0.5) / max(exposure.sum(), 1.0)
+    if exposure.sum() <= 1.0:  # a metre in all tells nothing
+        return np.zeros(len(interval))
+    total = (counted.sum() + 0.5) / exposure.sum()
     wide_n, wide_e = (_moving(interval, v, half) for v in (counted, exposure))
     wide = (wide_n + 1.0) / (wide_e + 1.0 / total)
     near = half // 8

@@ -34,9 +34,6 @@ BLIND_MOST: Final = 0.5
 """Blinded share of an interval's gate from which on followers count as noise too: what is left is
 the difference of two large lengths, and may be nothing."""
 
-PROFILE_BINS: Final = 2048
-"""1 m bins of the histogram of heights below the signal."""
-
 SUPPORT: Final = 20
 """Returns away from the surface from which on a window tells where its gate ends [count]."""
 
@@ -84,8 +81,8 @@ def observe(
         ``returns``, ``beamlets``, ``shots`` (m,) int64 seen; ``first``, ``last`` (m,) int64, shots
         within the interval; ``signal``, heights of its ``groups`` (m,); ``look_cell``,
         ``look_number`` and ``look_outside`` of its ``looks`` (m,) at cells of the ground;
-        ``by_channel`` (2, b, 256), ``seen_channel`` (256,) and
-        ``profile`` (:data:`PROFILE_BINS`,) and ``strays`` (1,) int64, left out as none of the gate.
+        ``by_channel`` (2, b, 256), ``seen_channel`` (256,) and ``strays`` (1,) int64, left out as
+        none of the gate.
     """
     found, lone = _observed(table, beams, settings, beams.known, gate_m)
     if not lone.any():
@@ -123,7 +120,6 @@ def _observed(
         "blinded": np.zeros((m, 2, b)),
         "returns": np.diff(starts),
         "by_channel": np.zeros((2, b, 256), dtype=np.int64),
-        "profile": np.zeros(PROFILE_BINS, dtype=np.int64),
         "seen_channel": np.bincount(channel[beamlet[:-1]], minlength=256).astype(np.int64),
         "beamlets": _runs_per_interval(beamlet, starts),
         "shots": _runs_per_interval(run_starts(time), starts),
@@ -138,7 +134,7 @@ def _observed(
     count_noise(
         starts, seen.below, np.maximum(-beams.direction[:, 2], 0.1), channel, look,
         lag == 0, blind, settings.buffer_m * np.array(BUFFER_LADDER), out["look_outside"],
-        out["blinded"], out["by_channel"], out["profile"],
+        out["blinded"], out["by_channel"],
     )  # fmt: skip
     first = np.cumsum(looks["looks"]) - looks["looks"]
     out["outside"] = np.add.reduceat(out["look_outside"], first) if m else out["look_outside"]
@@ -196,6 +192,6 @@ def merge(
         of = np.repeat(interval, np.concatenate([p[number] for p in parts]))
         of = np.argsort(of, kind="stable")
         merged |= {k: np.concatenate([p[k] for p in parts])[of] for k in names}
-    for name in ("by_channel", "seen_channel", "profile", "strays"):
+    for name in ("by_channel", "seen_channel", "strays"):
         merged[name] = np.sum([p[name] for p in parts], axis=0)
     return merged

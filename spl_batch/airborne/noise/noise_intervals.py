@@ -148,7 +148,6 @@ def count_noise(
     outside: NDArray[np.int32],
     blinded: NDArray[np.float64],
     by_channel: NDArray[np.int64],
-    profile: NDArray[np.int64],
 ) -> None:
     """Noise counts of every interval of a stretch, by the ground that is looked at; added to.
 
@@ -157,14 +156,9 @@ def count_noise(
     have counted. ``buffers``: (b,), heights around the signal that are left out, descending [m].
     ``outside``: (k, 2, b), returns that count, more than each buffer above and below the signal;
     ``blinded``: (m, 2, b), what returns there have blinded [m]; ``by_channel``: (2, b, 256).
-    ``profile``: histogram of the height below the signal in 1 m bins, zero in the middle.
     """
-    half = len(profile) // 2
     for m in range(len(starts) - 1):
         for i in range(starts[m], starts[m + 1]):
-            bin_ = int(np.floor(below[i])) + half
-            if counts[i] and 0 <= bin_ < len(profile):
-                profile[bin_] += 1
             side = 0 if below[i] < 0 else 1
             b = len(buffers) - 1
             while b >= 0 and abs(below[i]) > buffers[b]:
@@ -199,11 +193,12 @@ def far_beyond(
     support, lone, share, spacings = rules
     strays = 0
     for m in range(len(starts) - 1):
+        ends = (starts[m + 1] - 1, starts[m])
         for side in range(2):
             n = noise[m, side]
             if n < support:
                 continue
-            way, end = (1, starts[m + 1] - 1) if side == 0 else (-1, starts[m])
+            way, end = 1 - 2 * side, ends[side]
             widest, count = 0.0, 0
             for k in range(1, n):
                 away = way * (z[end - way * (k - 1)] - signal_z[m]) - half_m
@@ -213,6 +208,12 @@ def far_beyond(
                 if gap > widest:
                     widest, count = gap, k
             spacing = (way * (z[end - way * count] - signal_z[m]) - half_m) / (n - count)
+            # Haze crowds one side alone: beyond it noise lies as wide apart as on the other one.
+            others = noise[m, 1 - side]
+            if others > lone:
+                k = max(lone, int(share * others))
+                reach = way * (signal_z[m] - z[ends[1 - side] + way * k]) - half_m
+                spacing = max(spacing, reach / (others - k))
             # The widest of many gaps is wider than any one of them by their logarithm.
             most = spacings + math.log(max(share * (n - count), 1.0))
             if spacing > 0.0 and widest > most * spacing:

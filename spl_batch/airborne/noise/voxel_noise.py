@@ -51,7 +51,6 @@ def deposit(
     model: LineModel,
     settings: NoiseSettings,
     ground: NDArray[np.float64] | None = None,
-    far_q: int = FAR_Q,
 ) -> list[VoxelPart]:
     """A stretch's share of the noise expected in each voxel, a box of voxels for each place of it.
 
@@ -65,8 +64,6 @@ def deposit(
         Their beams; rows without a known beam deposit nothing.
     ground : (n,) float64, optional
         Gain of the ground that each point's beamlet looks at; 1 by default.
-    far_q : int
-        Empty columns or rows of more than this divide a stretch [quanta].
 
     Returns
     -------
@@ -89,8 +86,8 @@ def deposit(
     per_m = line_density(table, model) if published else seen_density(table, model) * ground
     share = np.clip(np.rint(BEAMLET * ground), 1, MOST).astype(np.int64)
     boxes: Iterable[NDArray[np.intp] | slice] = [slice(None)]
-    if any(np.ptp(table[axis]) > far_q for axis in "xy"):
-        boxes = map(np.sort, far_apart(np.column_stack((table["x"], table["y"])), far_q))
+    if any(np.ptp(table[axis]) > FAR_Q for axis in "xy"):
+        boxes = map(np.sort, far_apart(np.column_stack((table["x"], table["y"])), FAR_Q))
     return [
         _in_one_box(
             table.take(own), beams.take(own), near[own], far[own], per_m[own], share[own], settings

@@ -261,7 +261,7 @@ def _kept_by_chance(settings: FilterSettings, removed: int) -> float | None:
 
 def _noise_fit(done: Receipts) -> NoiseFit | None:
     """How p-values lie below all surfaces; None where none were counted."""
-    counts = p_values(done)
+    counts = p_values(done.get("ground", {}).values())
     found = uniformity(counts)
     if found is None:
         return None

@@ -15,7 +15,8 @@ from spl_batch.airborne.afterpulse import afterpulse_law
 from spl_batch.airborne.afterpulse.law_warnings import disagreements, uneven
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.filter.published import shot_noise
-from spl_batch.airborne.noise import line_noise, voxel_noise
+from spl_batch.airborne.noise import voxel_noise
+from spl_batch.airborne.noise.line_model import LineModel
 from spl_batch.airborne.products.reflectance import fired_beamlets
 from spl_batch.airborne.store.flown_lines import Pass, line_of
 from spl_batch.airborne.store.voxel_parts import write_voxels
@@ -172,7 +173,7 @@ def _assess(
     sights = lines_of_sight.beams(table, context.store, args)
     line = read_arrays(context.store.path("lines", f"{args['line']}.npz"))
     law = afterpulse_law.AfterpulseLaw.from_arrays(line)
-    model = line_noise.LineModel.from_arrays(line)
+    model = LineModel.from_arrays(line)
     beamlets = lines_of_sight.beamlets(args, context)
     table, lit, beams, ground = shots.assess(table, sights, (model, law), workflow, beamlets)
     if args["of_shots"] is not None:
@@ -194,7 +195,7 @@ def _assess(
 def _write_fired(
     table: PointTable,
     beams: BeamTable,
-    model: line_noise.LineModel,
+    model: LineModel,
     args: Mapping[str, Any],
     context: Context,
     facts: dict[str, Any],

@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 
 from spl_batch.airborne.beams import geometry, sensor_path
 from spl_batch.airborne.beams.shot_runs import blind_behind, run_starts
-from spl_batch.airborne.noise import line_noise, voxel_noise
+from spl_batch.airborne.noise import line_noise, line_statistics, voxel_noise
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.lattice.tables import PointTable, Trajectory
@@ -156,7 +156,7 @@ def totals(
     """Expected and true noise of each voxel."""
     sensor = load_preset("spl100").model_copy(update={"beamlets": beamlets})
     beams = geometry.beams(flight.table, flight.trajectory)
-    stats = line_noise.merge([line_noise.observe(flight.table, beams, SETTINGS)])
+    stats = line_statistics.merge([line_statistics.observe(flight.table, beams, SETTINGS)])
     (part,) = voxel_noise.deposit(
         flight.table, beams, line_noise.fit(stats, SETTINGS, sensor), SETTINGS
     )

@@ -64,11 +64,10 @@ def place(column, row=0, returns=1000, expected=50.0, low=12, high=19):
 def test_haze_has_area_heights_and_its_largest_place():
     found = haze(receipts(airs=[[place(k) for k in range(4)], [place(40)]]))
     assert found is not None
-    assert found.area_m2 == 5 * 625.0
+    assert found.values["area_m2"] == 5 * 625.0
     assert found.place == (0.0, 0.0, 100.0, 25.0)
-    assert (found.low_m, found.high_m) == (60.0, 100.0)
-    assert found.times_expected == pytest.approx(20.0)
-    assert found.per_m3 == pytest.approx(5000 / (5 * 200 * 125))
+    assert (found.values["low_m"], found.values["high_m"]) == (60.0, 100.0)
+    assert found.values["ratio"] == pytest.approx(20.0)
     assert haze(receipts(airs=[[place(k, returns=50) for k in range(4)]])) is None
     small = place(0)
     small[6] = 10

@@ -9,10 +9,10 @@ def test_patches_lie_in_their_boxes_and_hold_every_square_once() -> None:
     marked = np.random.default_rng(3).random((60, 40)) < 0.2
     found, again = patches(marked), np.zeros(marked.shape, int)
     for one in found:
-        (first, behind), (left, right) = one.rows, one.columns
-        assert one.marked.shape == (behind - first, right - left)
+        west, south, east, north = one.box(0.0, 0.0, 1.0)
+        assert one.marked.shape == (north - south, east - west)
         assert np.count_nonzero(one.marked) == one.squares
-        again[first:behind, left:right] += one.marked
+        again[one.at] += one.marked
     assert np.array_equal(again, marked)
     sizes = [one.squares for one in found]
     assert sizes == sorted(sizes, reverse=True)

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.beams import geometry
 from spl_batch.airborne.beams.shot_runs import run_starts
-from spl_batch.airborne.noise import gains, line_noise, voxel_noise
+from spl_batch.airborne.noise import gains, line_noise, line_statistics, voxel_noise
 from spl_batch.airborne.noise.ground_cells import (
     CELL_M,
     SHOT,
@@ -37,10 +37,10 @@ def model_of(flight: Flight, shots: int | None = None) -> LineModel:
     """Fitted to a whole flightline, or to stretches of it, last one first."""
     tables = [flight.table] if shots is None else cut(flight.table, shots)[::-1]
     parts = [
-        line_noise.observe(table, geometry.beams(table, flight.trajectory), SETTINGS)
+        line_statistics.observe(table, geometry.beams(table, flight.trajectory), SETTINGS)
         for table in tables
     ]
-    return line_noise.fit(line_noise.merge(parts), SETTINGS, load_preset("spl100"))
+    return line_noise.fit(line_statistics.merge(parts), SETTINGS, load_preset("spl100"))
 
 
 def test_a_beamlet_looks_where_it_comes_to_the_signal() -> None:

@@ -10,13 +10,19 @@ from hypothesis import strategies as st
 
 from spl_batch.airborne.beams import geometry
 from spl_batch.airborne.beams.shot_runs import interval_rows, lag_behind, run_starts, share_out
-from spl_batch.airborne.noise import line_noise
+from spl_batch.airborne.noise import line_noise, line_statistics
 from spl_batch.airborne.noise.gains import active_channels
 from spl_batch.airborne.noise.gate import Gate, fit_gate
 from spl_batch.airborne.noise.line_model import LineModel
 from spl_batch.airborne.noise.line_noise import choose_region
-from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER
-from spl_batch.airborne.noise.noise_intervals import SUMMARY, densest_window
+from spl_batch.airborne.noise.line_statistics import (
+    BUFFER_LADDER,
+    LONE_MOST,
+    LONE_SPACINGS,
+    STRAY_SHARE,
+    SUPPORT,
+)
+from spl_batch.airborne.noise.noise_intervals import SUMMARY, densest_window, far_beyond
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.engine.findings import Finding
@@ -33,7 +39,7 @@ def kinds(findings: Iterable[Finding]) -> list[str]:
 
 def model_of(flight: Flight, gate_m: float | None = None) -> LineModel:
     beams = geometry.beams(flight.table, flight.trajectory)
-    stats = line_noise.merge([line_noise.observe(flight.table, beams, SETTINGS, gate_m)])
+    stats = line_statistics.merge([line_statistics.observe(flight.table, beams, SETTINGS, gate_m)])
     return line_noise.fit(stats, SETTINGS, SENSOR.model_copy(update={"gate_m": gate_m}))
 
 
@@ -47,6 +53,7 @@ def model_of(flight: Flight, gate_m: float | None = None) -> LineModel:
         ({"gate_m": 85, "canopy_m": 25}, 85, 0.03),
         ({"detection": 0.01, "noise_per_m": 7e-5, "shots": 9000}, 300, 0.03),
         ({"gate_m": 25, "canopy_m": 8}, 25, 0.06),
+        ({"gate_m": 10, "canopy_m": 3}, 10, 0.06),
     ],
 )
 def test_rate_and_gate(scene: dict[str, object], gate_m: float, tolerance: float) -> None:
@@ -156,6 +163,22 @@ def test_many_stray_returns_lengthen_no_gate(count: int, gate_m: float | None) -
     assert "strays" not in kinds(sound.findings)
 
 
+@pytest.mark.parametrize("below", [30, 12])
+def test_noise_beyond_haze_is_not_stray(below: int) -> None:
+    rng = np.random.default_rng(4)
+    intervals, half, rules = 200, 25.0, (SUPPORT, LONE_MOST, STRAY_SHARE, LONE_SPACINGS)
+    thin, haze = rng.uniform(25, 120, (intervals, 30)), rng.uniform(40, 90, (intervals, 300))
+    lower, ground = rng.uniform(-120, -25, (intervals, below)), np.zeros((intervals, 100))
+    z = np.sort(np.hstack([lower, ground, thin, haze]), axis=1)
+    noise = np.tile(np.array([330, below], np.int32), (intervals, 1))
+    starts, gone = np.arange(intervals + 1) * z.shape[1], np.zeros(z.shape, np.bool_)
+    rows = starts, z.ravel(), np.zeros(intervals), noise, half, rules, np.inf
+    assert far_beyond(*rows, gone.ravel()) == 0
+    z[:, -5:] += 500.0
+    assert far_beyond(*rows, gone.ravel()) == 5 * intervals
+    np.testing.assert_array_equal(gone, z > 120)
+
+
 @pytest.mark.parametrize(("each", "below"), [(0.4, 1.0), (3.0, 0.05)])
 def test_all_noise_of_a_sparse_night_lies_in_its_gate(each: float, below: float) -> None:
     """Noise below the ground may be rarer than above it, where few beamlets hear it."""
@@ -187,22 +210,24 @@ def test_dead_and_weak_channels() -> None:
     assert per_channel[[7, 8]] == pytest.approx([0.1, 0.1], abs=0.04)
     assert per_channel[20:50] == pytest.approx(np.ones(30), abs=0.15)
     (dead,) = (one.values for one in model.findings if one.code == "I07")
-    assert (dead["dead"], dead["what"]) == (2, "4, 53")
+    assert (dead["dead"], dead["gaps"]) == (2, [4, 53])
 
 
 @pytest.mark.parametrize(
-    ("live", "said"),
+    ("live", "gaps"),
     [
-        ([2, 3, 5, 8], "4, 6, 7"),
-        ([3, 4, 5, 7], "6, and 2 below 3 or above 7"),
-        ([3, 4, 5, 6], "3 below 3 or above 6"),
-        ([0, 40, 41, 90], "3 among 1, 2, 3, 4, 5 and 82 more"),
+        ([2, 3, 5, 8], [4, 6, 7]),
+        ([3, 4, 5, 7], [6]),
+        ([3, 4, 5, 6], "none"),
+        ([0, 10, 11, 12], [*range(1, 10)]),
     ],
 )
-def test_dead_channels_are_named(live: list[int], said: str) -> None:
+def test_dead_channels_are_named(live: list[int], gaps: object) -> None:
     seen = np.zeros(256, dtype=np.int64)
     seen[live] = 100
-    assert [one.values["what"] for one in active_channels(seen, 7)[2]] == [said]
+    (one,) = active_channels(seen, 7)[2]
+    assert (one.values["dead"], one.values["gaps"]) == (3, gaps)
+    assert (one.values["first"], one.values["last"]) == (live[0], live[-1])
 
 
 def test_rate_follows_the_sky_and_density_the_model() -> None:
@@ -237,11 +262,11 @@ def test_hole_in_the_data_is_no_silence_and_silence_is_no_hole() -> None:
 def test_cutting_changes_no_bit(intervals: int, order: object) -> None:
     flight = fly(shots=700, surface=relief)
     parts = [
-        line_noise.observe(t, geometry.beams(t, flight.trajectory), SETTINGS)
+        line_statistics.observe(t, geometry.beams(t, flight.trajectory), SETTINGS)
         for t in cut(flight.table, 60 * intervals)
     ]
     order.shuffle(parts)  # type: ignore[attr-defined]
-    model = line_noise.fit(line_noise.merge(parts), SETTINGS, SENSOR)
+    model = line_noise.fit(line_statistics.merge(parts), SETTINGS, SENSOR)
     whole = model_of(flight)
     for name, values in whole.to_arrays().items():
         assert np.array_equal(values, model.to_arrays()[name]), name
@@ -249,11 +274,11 @@ def test_cutting_changes_no_bit(intervals: int, order: object) -> None:
 
 def test_parts_must_not_share_an_interval() -> None:
     flight = fly(shots=120)
-    part = line_noise.observe(
+    part = line_statistics.observe(
         flight.table, geometry.beams(flight.table, flight.trajectory), SETTINGS
     )
     with pytest.raises(ValueError, match="share an interval"):
-        line_noise.merge([part, part])
+        line_statistics.merge([part, part])
 
 
 @settings(deadline=None)
@@ -328,3 +353,13 @@ def test_a_side_with_more_returns_is_left_out(above: int, more: str) -> None:
     assert one.values["times"] == pytest.approx(2.0)
     assert one.values["more"] == more != one.values["side"]
     assert region.sides == ((0.0, 1.0) if more == "above" else (1.0, 0.0))
+
+
+def test_a_gate_without_room_for_noise_is_named_and_its_rate_is_finite() -> None:
+    short, none = (
+        model_of(fly(gate_m=length, canopy_m=canopy, shots=300), length)
+        for length, canopy in ((10.0, 3.0), (6.0, 0.0))
+    )
+    assert kinds(short.findings) == kinds(none.findings) == ["full"]
+    assert short.mean_rate > 0.0
+    assert np.all(none.rate == 0.0)

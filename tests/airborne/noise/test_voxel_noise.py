@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spl_batch.airborne.beams import geometry
-from spl_batch.airborne.noise import line_noise, voxel_noise
+from spl_batch.airborne.noise import line_noise, line_statistics, voxel_noise
 from spl_batch.airborne.noise.line_model import LineModel
 from spl_batch.airborne.noise.voxel_chords import (
     chord_length,
@@ -25,7 +25,7 @@ RADIUS_M = 6.2035
 
 def run(flight: Flight, chosen: NoiseSettings = SEEN) -> tuple[LineModel, VoxelPart]:
     beams = geometry.beams(flight.table, flight.trajectory)
-    stats = line_noise.merge([line_noise.observe(flight.table, beams, chosen)])
+    stats = line_statistics.merge([line_statistics.observe(flight.table, beams, chosen)])
     model = line_noise.fit(stats, chosen, load_preset("spl100"))
     (part,) = voxel_noise.deposit(flight.table, beams, model, chosen)
     return model, part
@@ -94,13 +94,14 @@ def slow_deposit(
     return total
 
 
-def test_a_stretch_in_several_boxes_adds_up_to_one() -> None:
+def test_a_stretch_in_several_boxes_adds_up_to_one(monkeypatch: pytest.MonkeyPatch) -> None:
     flight = fly(shots=240)
     beams = geometry.beams(flight.table, flight.trajectory)
     model, whole = run(flight)
     place = np.column_stack((flight.table["x"], flight.table["y"]))
     gap = int(np.diff(np.sort(place, axis=0), axis=0).max()) - 1
-    parts = voxel_noise.deposit(flight.table, beams, model, SEEN, far_q=gap)
+    monkeypatch.setattr(voxel_noise, "FAR_Q", gap)
+    parts = voxel_noise.deposit(flight.table, beams, model, SEEN)
     assert len(parts) > 1
     for name in ("amount", "squares"):
         total = getattr(whole, name).astype(np.int64)
