@@ -13,7 +13,7 @@ import rasterio
 import shapely
 
 from spl_batch import api
-from spl_batch.airborne.noise import line_noise as line_noise_stage
+from spl_batch.airborne.noise import line_statistics
 from spl_batch.airborne.simulate.file_writers import write_polygons
 from spl_batch.constants import NODATA
 from spl_batch.engine.store.output_lock import locked
@@ -397,7 +397,7 @@ def test_a_failing_task_is_isolated_named_and_tried_again(
     small: Path, in_pieces: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr(line_noise_stage, "observe", raising(line_noise_stage.observe, 2))
+        patch.setattr(line_statistics, "observe", raising(line_statistics.observe, 2))
         result, watcher = watched(small, *IN_PIECES)
     assert result.exit_status == 1
     assert result.report is not None
