@@ -10,8 +10,8 @@ candidate at lag :math:`l` two rates per metre of beamlet compete:
   [1/m3] (:mod:`~spl_batch.airborne.afterpulse.foliage`). :math:`n / r`, expected noise density over
   the beamlet's noise rate, is the length of beamlets per volume that listened [m/m3].
 
-The probability is :math:`\lambda_a / (\lambda_a + \lambda_t)`. In a second round returns count in
-:math:`\rho` by their own probability of being true (expectation maximisation).
+The probability is :math:`\lambda_a / (\lambda_a + \lambda_t)`. Returns count in :math:`\rho` by the
+time domain's probability that they are true.
 
 A surface is hard where returns without a parent make a plane, and next to nothing lies at the
 candidate's depth. Behind it a candidate is an afterpulse, unless other beamlets' returns fill a
@@ -56,9 +56,8 @@ FLAT_M: Final = (1.5, 0.2)
 WIDE_M: Final = max(FLAT_M[0], foliage.KERNELS_M[0][0])
 """How far a count of returns looks, and how far aside a parent is sought [m]."""
 
-REACH_M: Final = 2.0 * WIDE_M + foliage.REACH_M
-"""How far a decision looks: a count, the first round's counts beside it, and the parents of those
-returns [m]."""
+REACH_M: Final = foliage.REACH_M
+"""How far a decision looks: parents around it, what follows them, and counts around both [m]."""
 
 AFTERPULSE_MIN: Final = 0.5
 """Probability from which the time domain's word is believed: behind hard surfaces."""
@@ -82,20 +81,9 @@ PLANE_SHARE: Final = 0.7
 PLANE_LEAST: Final = 8
 """Returns in the cylinder that lie on the plane: their least share, and least number [count]."""
 
-SHARE: Final = 0.15
-"""Afterpulses per detection where the flightline's own are not known [W17 7.5]."""
-
-CLUMPED_ODDS: Final = 0.4
+CLUMPED_ODDS: Final = 0.3
 """Odds in clumps over odds at constant rates: about as much of the budget is then lost in clumps as
 in evenly turbid crowns."""
-
-SETTLED: Final = 0.3
-"""Probability in crowns below which the first round is the last: a second one hardly raises it."""
-
-LEAST: Final = 0.1
-LEAST_ODDS: Final = 0.5
-"""True returns that an empty place behind a hard surface counts for [count], and their most over
-the afterpulses due there: few afterpulses come that late, but nothing else comes from behind."""
 
 BATCH: Final = 1 << 17
 """Candidates in crowns that are weighed at once [count]."""
@@ -135,7 +123,7 @@ def resolve(
     ----------
     table : PointTable
         Points of a block and its halo in canonical order. Without ``afterpulse`` there are no
-        candidates; without ``afterpulse_rate``, or as published, the time domain decides alone.
+        candidates; as published the time domain decides alone.
     density : (n,) float64
         Expected noise at each point [1/m3].
     beamlets : Beamlets
@@ -160,9 +148,7 @@ def _enough(
     settings: AfterpulseSettings,
 ) -> NDArray[np.float64]:  # fmt: skip
     """Probability from which a candidate is believed to keep the budget: (m,) float64."""
-    share = np.full(len(rows), SHARE)
-    if "afterpulse_share" in table:
-        share = table["afterpulse_share"][rows].astype(np.float64)
+    share = table["afterpulse_share"][rows].astype(np.float64)
     odds = share / (math.e * settings.vegetation_loss) * CLUMPED_ODDS**clumped**3
     return odds / (1.0 + odds)
 
@@ -180,63 +166,36 @@ def probability(table: PointTable, density: NDArray[np.float64], beamlets: Beaml
 
     ``table, density, beamlets``: as in :func:`resolve`, points in canonical order.
     """
-    if "afterpulse_rate" not in table or not len(table):
+    if not len(table):
         none = np.empty(0, np.bool_)
         return Chances(np.empty(0, np.intp), np.empty(0), none, np.empty(0), none)
     usable = ~table.has(EXCLUDED)
     known = (table["afterpulse_rate"] > 0) & usable & (density > 0) & (table["line_density"] > 0)
     places = _Places(table)
     rows, at = places.in_turn(np.flatnonzero(known))
-    sure = table["afterpulse"] >= AFTERPULSE_MIN
-    true = places.listed(np.where(sure | ~usable, 0, UNIT).astype(np.int16))
-    hard = sure[rows]
-    open_ = np.flatnonzero(~hard)
-    true[at[open_]] = _weights(1.0 - _from_shot(table["afterpulse"][rows[open_]]))
+    true = places.listed(_weights(table, usable))
+    hard = table["afterpulse"][rows] >= AFTERPULSE_MIN
     per_metre = table["line_density"][rows].astype(np.float64) / density[rows]
     rate = table["afterpulse_rate"][rows].astype(np.float64)
     alone = places.listed(usable & (table["afterpulse_rate"] == 0))
-    sigma = _spreads(table, rows)
+    sigma = table["range_sigma"][rows].astype(np.float64)
     parents = places.parents(rows, beamlets)
     behind, tilt = places.behind_plane(at, parents, alone, sigma)
     hard |= behind
-    chance = np.zeros(len(rows))
     clumping = places.clumping(rows, parents[~hard & (parents >= 0)], true)
+    returns = np.zeros(len(rows))
+    # A sphere would hold the surface itself; a level ellipsoid that of a steep roof.
+    for spread, own in _alike(sigma, hard):
+        flat_m = (FLAT_M[0], max(FLAT_M[1], SPREADS[0] * spread))
+        flat = places.around(at[own], true, (flat_m,), tilt[own])[:, 0]
+        returns[own] = flat / UNIT**2 / foliage.volume_m3(*flat_m)
     open_ = np.flatnonzero(~hard)
-    for last in (False, True):
-        if last:
-            # A sphere would hold the surface itself; a level ellipsoid that of a steep roof.
-            for spread, own in _alike(sigma, hard):
-                flat_m = (FLAT_M[0], max(FLAT_M[1], SPREADS[0] * spread))
-                flat = places.around(at[own], true, (flat_m,), tilt[own])[:, 0] / UNIT**2
-                chance[own] = _behind_hard(flat, flat_m, rate[own], per_metre[own])
-            open_ = np.flatnonzero(~hard & (chance >= SETTLED))
-        for first in range(0, len(open_), BATCH):
-            some = open_[first : first + BATCH]
-            counts = places.around(at[some], true, foliage.KERNELS_M, own=foliage.OWN)
-            returns = foliage.density(counts / UNIT**2, clumping[some])
-            chance[some] = rate[some] / (rate[some] + returns * per_metre[some])
-        # All at once: no result may depend on which candidates came before.
-        true[at[open_]] = _weights(1.0 - chance[open_])
+    for first in range(0, len(open_), BATCH):
+        some = open_[first : first + BATCH]
+        counts = places.around(at[some], true, foliage.KERNELS_M, own=foliage.OWN)
+        returns[some] = foliage.density(counts / UNIT**2, clumping[some])
+    chance = rate / (rate + returns * per_metre)
     return Chances(rows, chance, hard, foliage.clumped(clumping), parents < 0)
-
-
-def _behind_hard(
-    flat: NDArray[np.float64], flat_m: tuple[float, float], rate: NDArray[np.float64],
-    per_metre: NDArray[np.float64],
-) -> NDArray[np.float64]:  # fmt: skip
-    """Chance of candidates behind hard surfaces, by the returns in a flat ellipsoid."""
-    others = flat / foliage.volume_m3(*flat_m) * per_metre
-    least = LEAST / foliage.volume_m3(*flat_m) * per_metre
-    others += np.minimum(least, LEAST_ODDS * rate)
-    return rate / (rate + others)
-
-
-def _spreads(table: PointTable, rows: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Ranging spread of the flightlines of some rows [m]; 0 where it is not known."""
-    if "range_sigma" not in table:
-        return np.zeros(len(rows))
-    spreads: NDArray[np.float64] = table["range_sigma"][rows].astype(np.float64)
-    return spreads
 
 
 def _alike(
@@ -247,9 +206,13 @@ def _alike(
         yield round(float(spread), 4), np.flatnonzero(chosen & (sigma == spread))
 
 
-def _weights(true: NDArray[np.float64]) -> NDArray[np.int16]:
-    """Probabilities as weights of returns, in :data:`UNIT`."""
-    return np.rint(true * UNIT).astype(np.int16)
+def _weights(table: PointTable, usable: NDArray[np.bool_]) -> NDArray[np.int16]:
+    """Weights of returns, by the time domain's probability that they are true: (n,), :data:`UNIT`.
+
+    What a parent alone gives is capped below :data:`AFTERPULSE_MIN`, and free of that here.
+    """
+    echo = np.minimum(table["afterpulse"].astype(np.float64) / AFTERPULSE_MIN, 1.0)
+    return np.where(usable, np.rint((1.0 - echo) * UNIT), 0.0).astype(np.int16)
 
 
 class _Places:
@@ -338,8 +301,3 @@ class _Places:
             )  # fmt: skip
             out[own], tilt[own] = found, slopes
         return out, tilt
-
-
-def _from_shot(afterpulse: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Probability that the time domain gives a candidate, free of its cap: (m,) float64."""
-    return np.minimum(afterpulse.astype(np.float64) / AFTERPULSE_MIN, 1.0)

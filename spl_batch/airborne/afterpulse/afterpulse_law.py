@@ -60,13 +60,6 @@ lights whole shots, whose few other returns are the ground behind it."""
 PLANES_LEAST: Final = 30
 """Hard planes that can tell a tail [count]; a few may just have something behind them."""
 
-DEEP_M: Final = 40.0
-"""Lag from which on followers are background, if they are as many as the noise model says [m]."""
-
-AGREES: Final = (0.7, 1.3)
-"""Limits of such deep followers over the noise model's background, where the two agree: fewer come
-where the gate ends, more where the noise model falls short."""
-
 
 class AfterpulseLaw(NamedTuple):
     """Afterpulses of a flightline."""
@@ -176,7 +169,7 @@ def fit(
     n = np.add.reduceat(followers[bins[0] : bins[-1]], bins[:-1] - bins[0]).astype(np.float64)
     fine = np.diff(np.maximum(LAG_EDGES_M[bins[0] : bins[-1] + 1], prior.dead_m))
     looked = np.add.reduceat(left[bins[0] : bins[-1]] * fine, bins[:-1] - bins[0])
-    background = looked * _background(n, looked, edges, noise_per_m)
+    background = looked * noise_per_m
     stated_end = float(LAG_EDGES_M[_stated_edge(prior.dead_m, prior.longest_m)])
     planes = int(counts.planes[spread_as_hard(sigma_m)].sum())
     least = TAIL_LEAST * float(entries.sum()) if planes >= PLANES_LEAST else math.inf
@@ -244,19 +237,6 @@ def _stated_edge(dead_m: float, stated_m: float) -> int:
     at = int(np.searchsorted(LAG_EDGES_M, dead_m, side="right"))
     last = len(LAG_EDGES_M) - 1
     return min(max(int(np.searchsorted(LAG_EDGES_M, stated_m - 1e-9)), at), last)
-
-
-def _background(
-    n: NDArray[np.float64], looked: NDArray[np.float64], edges: NDArray[np.float64],
-    noise_per_m: float,
-) -> float:  # fmt: skip
-    """Background behind a return [1/m]: the noise model's, as far as the deepest lags agree."""
-    deep = edges[:-1] >= DEEP_M
-    expected = noise_per_m * float(looked[deep].sum())
-    if expected < 100.0:
-        return noise_per_m
-    ratio = float(n[deep].sum()) / expected
-    return noise_per_m * (1.0 if ratio < AGREES[0] else min(ratio, AGREES[1]))
 
 
 def _reach(

@@ -4,11 +4,12 @@ Source: [W17] ch. 7 (DCC, robust regression, 68th percentile, 0.3 m), Eq. 3.3.
 
 Deviations. The published rule flags whatever lies below the plane. Here a return also needs a
 parent: an earlier return of its beamlet on that surface, at most ``lag_max_m`` away. So the ground
-beside a roof stays. Returns behind another one of their beamlet take no part in the fit. A shot may
-hold up to three surfaces. Distances to the threshold run along the beam. Away from hard surfaces
-the lag gives a probability below one half, and the space domain decides
-(:mod:`~spl_batch.airborne.afterpulse.afterpulse_decision`). Where beamlets cannot be told apart
-(:mod:`~spl_batch.airborne.beams.told_apart`), the published rule stands, down to ``lag_max_m``.
+beside a roof stays. Returns behind another one of their beamlet take no part in the fit. Where the
+plane of all of them does not do, one of the fullest range stands for it. Distances to the threshold
+run along the beam. Away from hard surfaces the lag gives a probability below one half, and the
+space domain decides (:mod:`~spl_batch.airborne.afterpulse.afterpulse_decision`). Where beamlets
+cannot be told apart (:mod:`~spl_batch.airborne.beams.told_apart`), the published rule stands, down
+to ``lag_max_m``.
 
 ``method: published`` has none of these but the distances along the beam: one plane for each shot
 that has enough candidates, and all that lies below it.

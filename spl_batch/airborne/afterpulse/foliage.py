@@ -1,20 +1,16 @@
 r"""Density of the true returns that a beamlet would have among the leaves around it [1/m3].
 
 Domain: space. Returns are a Poisson process whose rate varies with the leaves. A place has counts
-:math:`N_k` of true returns in ever smaller spheres of volumes :math:`V_k`. The rate in each is
-gamma distributed about that in the one before:
+:math:`N_0, N_1` of true returns in a wide and a narrow sphere of volumes :math:`V_0, V_1`. The rate
+in the narrow one is gamma distributed about that in the wide one:
 
-.. math:: \rho_k = \frac{N_k + \nu_k}{V_k + \nu_k / \rho_{k-1}}, \quad \nu_k = \frac{c}{(g_k - 1)^2}
+.. math:: \rho_0 = N_0 / V_0, \quad \rho = \frac{N_1 + \nu}{V_1 + \nu / \rho_0}, \quad
+    \nu = \frac{c}{(g - 1)^2}
 
-:math:`g_k`, the pair correlation, is the density in sphere k over that in the widest, around all
-*parents* near by: places with leaves. It is 1 where leaves are spread evenly, and a small count is
-then mostly chance; it grows as clumps get smaller and rarer. In weak light a few evenly spread
-pairs are added. A gamma law of that variance would have :math:`1 / (g - 1)`; but clumps are there
-or not, and crowns end.
-
-Around parents on a surface (water, brushwood) a flat ellipsoid replaces the widest sphere. Returns
-in front in the same beamlet say that light came so far, but also that leaves took some of it: the
-rate is :math:`\rho` times a factor between two, by :math:`g` in the smallest sphere.
+:math:`g`, the pair correlation, is the density in the narrow sphere over that in the wide one,
+around all *parents* near by: places with leaves. It is 1 where leaves are spread evenly, and a
+small count is then mostly chance; it grows as clumps get smaller and rarer. A gamma law of that
+variance would have :math:`1 / (g - 1)`; but clumps are there or not, and crowns end.
 
 The constants were chosen on simulated clumps of 0.4, 0.8 and 1.5 m and on evenly turbid crowns, at
 1, 1/2, 1/4 and 1/8 of the light, with other seeds than the scenes of
@@ -27,32 +23,20 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.afterpulse.weighted_counts import MASS, UNIT
+from spl_batch.airborne.afterpulse.weighted_counts import MASS
 from spl_batch.lattice.tiles import cell_index, quanta
 
-KERNELS_M: Final = ((1.5, 1.5), (1.5, 0.2), (0.7, 0.7), (0.5, 0.5))
-"""Horizontal and vertical radii of the kernels: wide as crowns, thin, and small as clumps [m]."""
-
-SURFACE_MIN: Final = 2.2
-"""Density in the thin kernel over that in the widest, around parents, from which on they lie on a
-surface and the thin one takes part: it is above 4 on a level plane, less over a bed, at most 2 in
-foliage."""
+KERNELS_M: Final = ((1.5, 1.5), (0.5, 0.5))
+"""Horizontal and vertical radii of the kernels: wide as crowns, and small as clumps [m]."""
 
 OWN: Final = 1.7
 """Other beamlets' returns that one in front in the same beamlet is worth."""
 
-SIGHT: Final = (1.1, 0.66)
-"""True rate of a beamlet that has a return in front, over the rate by all returns around: where
-leaves hang evenly, since its light has found a way so far, and in clumps, which take light."""
-
 HALF: Final = 0.3
-"""g - 1 at which it is between the two."""
+"""g - 1 at which leaves hang half in clumps."""
 
 SHAPE: Final = 0.15
 """c above."""
-
-PAIRS: Final = 6
-"""Evenly spread pairs of returns that are added to each sphere around parents [count]."""
 
 CLUMPED_MIN: Final = 0.005
 """Least g - 1: below it chance could turn the sign."""
@@ -73,30 +57,18 @@ REACH_M: Final = (CELLS + 1) * CELL_M + KERNELS_M[0][0]
 def density(counts: NDArray[np.float64], clumping: NDArray[np.float64]) -> NDArray[np.float64]:
     """True returns where a beamlet has returned something in front: (m,) float64 [1/m3].
 
-    ``counts`` (m, k): kernel sums in :data:`KERNELS_M`; ``clumping`` (m, k - 1).
+    ``counts`` (m, 2): kernel sums in :data:`KERNELS_M`; ``clumping`` (m,): g.
     """
-    found = (counts[:, 0] + LEAST) / volume_m3(*KERNELS_M[0])
-    near = _against(clumping)
-    for k in range(1, len(KERNELS_M)):
-        prior = SHAPE / np.maximum(near[:, k - 1] - 1.0, CLUMPED_MIN) ** 2
-        found = (counts[:, k] + prior) / (volume_m3(*KERNELS_M[k]) + prior / found)
-    even, dense = SIGHT
-    found *= even * (dense / even) ** clumped(clumping)
-    return found
+    wide, narrow = (volume_m3(*radii) for radii in KERNELS_M)
+    around = (counts[:, 0] + LEAST) / wide
+    prior = SHAPE / np.maximum(clumping - 1.0, CLUMPED_MIN) ** 2
+    return np.asarray((counts[:, 1] + prior) / (narrow + prior / around), np.float64)
 
 
 def clumped(clumping: NDArray[np.float64]) -> NDArray[np.float64]:
     """Whether leaves hang evenly, 0, or in clumps, towards 1: (m,) float64."""
-    more = np.maximum(_against(clumping)[:, -1] - 1.0, 0.0)
+    more = np.maximum(clumping - 1.0, 0.0)
     return np.asarray(more / (more + HALF), np.float64)
-
-
-def _against(clumping: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Density over that in the thin ellipsoid where parents lie on surfaces: (m, k - 1)."""
-    surface = clumping[:, 0] >= SURFACE_MIN
-    near = np.where(surface[:, None], clumping / clumping[:, :1].clip(SURFACE_MIN), clumping)
-    near[:, 0] = np.where(surface, clumping[:, 0], 1.0)
-    return near
 
 
 def clumping(
@@ -107,10 +79,10 @@ def clumping(
     counts: NDArray[np.int64],
     rows: NDArray[np.intp],
 ) -> NDArray[np.float64]:
-    """Density in each kernel around parents near by, over that in the widest: (m, k - 1) float64.
+    """Density in the narrow sphere around parents near by, over that in the wide: (m,) float64.
 
     ``parents`` (p,) are rows of points, one counts as often as it is named; ``weight`` and
-    ``counts`` (p, k) their weights and kernel sums [count / ``UNIT`` ** 2]; ``rows`` (m,) are the
+    ``counts`` (p, 2) their weights and kernel sums [count / ``UNIT`` ** 2]; ``rows`` (m,) are the
     points to answer for. 1 where there are no parents.
     """
     edge = quanta(CELL_M)
@@ -122,17 +94,15 @@ def clumping(
 
     sums = np.zeros((*shape, counts.shape[1]), np.int64)
     np.add.at(sums, column(parents), counts * weight[:, None].astype(np.int64))
-    volume = np.array([volume_m3(*radii) for radii in KERNELS_M])
-    lent = PAIRS * UNIT**3 / volume[1:]
-    near = _around(sums)
-    found = near[..., 1:] / volume[1:] + lent
-    found /= near[..., :1] / volume[0] + lent
+    wide, narrow = (volume_m3(*radii) for radii in KERNELS_M)
+    around, near = np.moveaxis(_around(sums), -1, 0)
+    found = np.divide(near / narrow, around / wide, out=np.ones(shape), where=around > 0)
     out: NDArray[np.float64] = found[column(rows)]
     return out
 
 
 def _around(sums: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Sums over squares of columns, :data:`CELLS` on each side: (nx, ny, k) int64."""
+    """Sums over squares of columns, :data:`CELLS` on each side: (nx, ny, 2) int64."""
     for axis in (0, 1):
         until = np.insert(np.cumsum(sums, axis=axis), 0, 0, axis=axis)
         at = np.arange(sums.shape[axis])

@@ -18,9 +18,6 @@ from spl_batch.numerics.simd import spread as everywhere
 STEP_M = 0.05
 """Steps in which a law is tabled [m]."""
 
-SURFACES_MAX = 3
-"""Hard surfaces looked for in a shot: a roof, the ground beside it, one between."""
-
 GROWN = 2
 """How often a surface is fitted again to the candidates that lie on it [count]."""
 
@@ -29,13 +26,6 @@ RETURNS_MIN = 6
 
 SHARP = 3.0
 """Most that the residuals of a hard surface spread [ranging spreads]."""
-
-PASSED_MIN = 2.0
-PASSED_SHARE = 0.1
-"""A surface is penetrable if more scattered first returns lie behind it [count, share]."""
-
-FOLLOWED = 2.0
-"""And so is one that more returns follow than so many times the afterpulses that are due."""
 
 
 class Rules(NamedTuple):
@@ -157,83 +147,74 @@ def below_planes(
 
 
 @njit()
-def find_surfaces(
-    shots: NDArray[np.int64], u: NDArray[np.float64], v: NDArray[np.float64],
-    w: NDArray[np.float64], candidate: NDArray[np.bool_], rules: Rules,
-    spread_max: NDArray[np.float64], planes: NDArray[np.float64], spreads: NDArray[np.float64],
-    found: NDArray[np.int64],
-) -> None:  # fmt: skip
-    """Hard surfaces of shots: one plane as published, else several.
+def hard_surfaces(
+    shots: NDArray[np.int64], candidate: NDArray[np.bool_], u: NDArray[np.float64],
+    v: NDArray[np.float64], w: NDArray[np.float64], rules: Rules, spread_max: NDArray[np.float64],
+) -> Surfaces:  # fmt: skip
+    """Hard surface of each shot: the plane as published, else one from the fullest range.
 
-    Where one plane does not do (roof beside ground, a ridge, ground under a tree), a plane grows
-    from the fullest range of the shot. It is taken if it stands out from an even spread of the
-    candidates, and then the next is looked for. Shots do not affect each other; they come together
-    because their planes are fitted together.
+    Where the plane of all candidates does not do (roof beside ground, a ridge, ground under a
+    tree), one grows from the fullest range of the shot. It is taken if it stands out from an even
+    spread of the candidates. Shots do not affect each other; they come together because their
+    planes are fitted together.
 
     ``spread_max`` (s,) bounds the spread of a surface's residuals [m], which keeps crowns out; it
-    is infinite as published, where the 68th percentile alone decides. ``planes`` (s, SURFACES_MAX,
-    3), ``spreads`` [m] and ``found`` (s,), their number, are filled.
+    is infinite as published, where the 68th percentile alone decides.
     """
-    left, pending = candidate.copy(), np.zeros(len(found), np.bool_)
-    fitted = fit_surfaces(shots, left, u, v, w, rules)
-    for shot in range(len(found)):
-        found[shot] = fitted.trusted[shot] and fitted.spread[shot] <= spread_max[shot]
-        pending[shot] = found[shot] == 0
-        planes[shot, 0], spreads[shot, 0] = fitted.plane[shot], fitted.spread[shot]
-    for at in range(SURFACES_MAX):
-        chosen = _fullest(shots, w, left, pending, 2.0 * rules.p68_max_m)
-        fitted = fit_surfaces(shots, chosen, u, v, w, rules)
-        for _ in range(GROWN):
-            chosen = _on_planes(shots, u, v, w, left, fitted, rules)
-            fitted = fit_surfaces(shots, chosen, u, v, w, rules)
-        for shot in range(len(found)):
-            pending[shot] = (
-                fitted.trusted[shot]
-                and fitted.spread[shot] <= spread_max[shot]
-                and _stands_out(fitted.size[shot], (shots[shot], shots[shot + 1]), w, left, rules)
-            )
-            if pending[shot]:
-                planes[shot, at], spreads[shot, at] = fitted.plane[shot], fitted.spread[shot]
-                found[shot] += 1
-                for i in range(shots[shot], shots[shot + 1]):
-                    behind = behind_of(fitted.plane[shot], i, u, v, w)
-                    left[i] = left[i] and not on_surface(behind, fitted.spread[shot], rules)
+    found = fit_surfaces(shots, candidate, u, v, w, rules)
+    found.trusted[:] &= found.spread <= spread_max
+    chosen = _fullest(shots, w, candidate, ~found.trusted, 2.0 * rules.p68_max_m)
+    grown = fit_surfaces(shots, chosen, u, v, w, rules)
+    for _ in range(GROWN):
+        chosen = _on_planes(shots, u, v, w, candidate, grown, rules)
+        grown = fit_surfaces(shots, chosen, u, v, w, rules)
+    for shot in range(len(shots) - 1):
+        rows = (shots[shot], shots[shot + 1])
+        if (
+            grown.trusted[shot]
+            and grown.spread[shot] <= spread_max[shot]
+            and _stands_out(grown.size[shot], rows, w, candidate, rules)
+        ):
+            found.trusted[shot], found.plane[shot] = True, grown.plane[shot]
+            found.spread[shot], found.size[shot] = grown.spread[shot], grown.size[shot]
+    return found
 
 
 @njit()
-def _fullest(shots, w, left, pending, width):  # type: ignore[no-untyped-def]
+def _fullest(shots, w, candidate, pending, width):  # type: ignore[no-untyped-def]
     """Candidates in the fullest range window of pending shots: (n,) bool."""
-    chosen, ranges = np.zeros(len(left), np.bool_), np.empty(len(left) + LANES)
+    chosen, ranges = np.zeros(len(candidate), np.bool_), np.empty(len(candidate) + LANES)
     for shot in range(len(pending)):
         if pending[shot]:
             count = 0
             for i in range(shots[shot], shots[shot + 1]):
                 ranges[count] = w[i]
-                count += left[i]
+                count += candidate[i]
             start, _ = densest(ranges, 0, count, width)
             for i in range(shots[shot], shots[shot + 1]):
-                chosen[i] = left[i] and start <= w[i] <= start + width
+                chosen[i] = candidate[i] and start <= w[i] <= start + width
     return chosen
 
 
 @njit()
-def _on_planes(shots, u, v, w, left, fitted, rules):  # type: ignore[no-untyped-def]
+def _on_planes(shots, u, v, w, candidate, fitted, rules):  # type: ignore[no-untyped-def]
     """Candidates near the planes of their shots: (n,) bool."""
-    chosen = np.zeros(len(left), np.bool_)
+    chosen = np.zeros(len(candidate), np.bool_)
     for shot in range(len(shots) - 1):
         if fitted.trusted[shot]:
             reach = max(rules.below_m, 3.0 * fitted.spread[shot])
             for i in range(shots[shot], shots[shot + 1]):
-                chosen[i] = left[i] and abs(behind_of(fitted.plane[shot], i, u, v, w)) <= reach
+                near = abs(behind_of(fitted.plane[shot], i, u, v, w)) <= reach
+                chosen[i] = candidate[i] and near
     return chosen
 
 
 @njit()
-def _stands_out(size, rows, w, left, rules):  # type: ignore[no-untyped-def]
+def _stands_out(size, rows, w, candidate, rules):  # type: ignore[no-untyped-def]
     """Whether a surface holds more candidates than an even spread would give it."""
     count, low, high = 0, np.inf, -np.inf
     for i in range(rows[0], rows[1]):
-        if left[i]:
+        if candidate[i]:
             count, low, high = count + 1, min(low, w[i]), max(high, w[i])
     even = count * 2.0 * rules.below_m / max(high - low, 2.0 * rules.p68_max_m)
     return size >= RETURNS_MIN + 2.0 * even
@@ -261,39 +242,20 @@ def densest(w, low, high, width):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def returns_behind(
-    s: int, rows: tuple[int, int], behind: NDArray[np.float64], spreads: NDArray[np.float64],
-    first: NDArray[np.bool_], rules: Rules,
-) -> tuple[bool, float]:  # fmt: skip
-    """Whether a surface is hard, and start of the depths, ``2 below_m`` wide, that most share.
+def depth_behind(
+    rows: tuple[int, int], behind: NDArray[np.float64], spread: float, first: NDArray[np.bool_],
+    rules: Rules,
+) -> float:  # fmt: skip
+    """Start of the depths behind a surface, ``2 below_m`` wide, that most beamlets miss it by.
 
-    Of beamlets that miss it few and scattered returns are background; many at one depth are the
-    ground beside a roof; the start is infinite for none. Many and scattered ones mean that the
-    surface is penetrable: a crown, water. So do later returns of beamlets, where they are many more
-    than afterpulses: all channels see the top of a crown in strong light.
+    Many first returns at one depth are the ground beside a roof, or a bed that only some beamlets
+    reach; the start is infinite where none shares its depth with another one.
     """
-    on, passed, followers, follows = 0, 0, 0, False
-    depths = np.empty(rows[1] - rows[0] + LANES)
+    passed, depths = 0, np.empty(rows[1] - rows[0] + LANES)
     for i in range(rows[0], rows[1]):
-        if not first[i]:
-            followers += follows and 0.5 * rules.dead_m < behind[s, i] <= rules.lag_max_m
-            continue
-        follows = on_surface(behind[s, i], spreads[s], rules)
-        if follows:
-            on += 1
-        elif 0.0 < behind[s, i] <= rules.lag_max_m:
-            other = False
-            for k in range(len(behind)):
-                other = other or (k != s and on_surface(behind[k, i], spreads[k], rules))
-            if not other:
-                depths[passed] = behind[s, i]
-                passed += 1
-    # More than afterpulses, and theirs, can be.
-    started = min(np.sum(rules.law) * STEP_M, 0.8)
-    if followers > PASSED_MIN + FOLLOWED * on * started / (1.0 - started):
-        return False, np.inf
-    if passed == 0:
-        return True, np.inf
+        missed = 0.0 < behind[i] <= rules.lag_max_m and not on_surface(behind[i], spread, rules)
+        if first[i] and missed:
+            depths[passed] = behind[i]
+            passed += 1
     depth, together = densest(depths, 0, passed, 2.0 * rules.below_m)
-    scattered = passed - together
-    return scattered <= PASSED_MIN + PASSED_SHARE * on, depth if together > 1 else np.inf
+    return depth if together > 1 else np.inf

@@ -15,14 +15,12 @@ from spl_batch.airborne.afterpulse.hard_surfaces import (
     STEP_M,
     Rules,
     candidates,
-    densest,
     fit_surfaces,
     on_surface,
 )
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.planes.robust_plane import residual
-from spl_batch.numerics.simd import LANES
 from spl_batch.numerics.sorting import first_above, first_not_below
 
 CLEAN = 0.9
@@ -30,11 +28,6 @@ CLEAN = 0.9
 
 PARENTS_MIN = 12
 """Least first returns on that plane [count]."""
-
-DEEP_MIN = 3.0
-DEEP_SHARE = 0.1
-"""Other beamlets' returns at one depth far behind the plane that make a surface there: least
-number, and least share of those on the plane."""
 
 BEHIND = 2.5
 """A follower so far behind the plane does not belong to the surface itself [spreads]."""
@@ -156,23 +149,14 @@ def _square(plane):  # type: ignore[no-untyped-def]
 
 @njit()
 def _alone(distance, first, spread, rules):  # type: ignore[no-untyped-def]
-    """Whether the first returns lie on the plane and no other surface lies behind it."""
-    on = near = deep = 0
-    depths = np.empty(len(distance) + LANES)
+    """Whether the first returns lie on the plane and next to none behind it."""
+    on = near = 0
     for i in range(len(distance)):
-        if not first[i]:
-            continue
-        if on_surface(distance[i], spread, rules):
+        if first[i] and on_surface(distance[i], spread, rules):
             on += 1
-        elif 0.0 < distance[i] <= rules.lag_max_m:
+        elif first[i] and 0.0 < distance[i] <= rules.lag_max_m:
             near += 1
-        elif distance[i] > 0.0:
-            depths[deep] = distance[i]
-            deep += 1
-    if on < PARENTS_MIN or on < CLEAN * (on + near):
-        return False
-    _, together = densest(depths, 0, deep, 2.0 * rules.below_m)
-    return together < max(DEEP_MIN, DEEP_SHARE * on)
+    return on >= PARENTS_MIN and on >= CLEAN * (on + near)
 
 
 @njit()

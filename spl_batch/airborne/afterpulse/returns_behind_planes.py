@@ -52,7 +52,7 @@ def parents_of(
     """Fill the lowest return of the same beamlet above each chosen point: rows (n,), -1 for none.
 
     ``order, start``: :class:`~spl_batch.airborne.beams.shot_runs.Beamlets`. It is at most ``lag``
-    higher, and ``aside`` away [quanta]. Of two as high the one farther west, or south, is taken.
+    higher, and ``aside`` away [quanta]. Of two as high the one that is first in canonical order.
     """
     out[:] = -1
     for b in range(len(start) - 1):
@@ -63,22 +63,12 @@ def parents_of(
                 continue
             x, y, z = xyz[row, U0], xyz[row, U1], xyz[row, U2]
             for other in order[first:last]:
-                if xyz[other, U2] > z and (best < 0 or _before(xyz, other, best)):
+                if xyz[other, U2] > z and (best < 0 or xyz[other, U2] < xyz[best, U2]):
                     best = int(other)
             if best >= 0 and xyz[best, U2] - z <= lag:
                 dx, dy = np.float64(xyz[best, U0] - x), np.float64(xyz[best, U1] - y)
                 if dx * dx + dy * dy <= np.float64(aside) ** 2:
                     out[row] = best
-
-
-@njit()
-def _before(xyz: NDArray[np.int32], a: int, b: int) -> bool:
-    """Whether a point is lower than another one; of as high ones farther west, then south."""
-    if xyz[a, U2] != xyz[b, U2]:
-        return bool(xyz[a, U2] < xyz[b, U2])
-    if xyz[a, U0] != xyz[b, U0]:
-        return bool(xyz[a, U0] < xyz[b, U0])
-    return bool(xyz[a, U1] < xyz[b, U1])
 
 
 @njit(fastmath={"reassoc"})
@@ -136,9 +126,9 @@ def behind_plane(
 
     ``cylinder``: radius and half-height of what is looked at around a parent, and half-thickness of
     the plane [quanta]. At least ``share`` of the returns in it lie on the plane. ``out`` (m,): the
-    parent lies on it, the point behind it by more than the half-thickness, and of the cylinder's
-    returns at most one in twenty lies at its depth. ``tilt`` (m, 2): the plane's slopes, whatever
-    lies there, 0 where there is no plane.
+    point lies behind it by more than the half-thickness, and of the cylinder's returns at most one
+    in twenty lies at its depth. ``tilt`` (m, 2): the plane's slopes, whatever lies there, 0 where
+    there is no plane.
     """
     xyz = made.points
     wide, high, thick = cylinder
@@ -157,7 +147,7 @@ def behind_plane(
             continue
         x, y = xyz[U0, row] - xyz[U0, parent], xyz[U1, row] - xyz[U1, parent]
         level = xyz[U2, row] - xyz[U2, parent] - (plane[0] + plane[1] * x + plane[2] * y)
-        if abs(plane[0]) > thick or level >= -thick:
+        if level >= -thick:
             continue
         here, there = _on_planes(offsets, size, plane, level, thick)
         if here >= share * size:

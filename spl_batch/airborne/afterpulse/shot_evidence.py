@@ -9,13 +9,12 @@ from numpy.typing import NDArray
 from spl_batch.airborne.afterpulse.hard_surfaces import (
     RETURNS_MIN,
     SHARP,
-    SURFACES_MAX,
     Rules,
     behind_of,
     candidates,
-    find_surfaces,
+    depth_behind,
+    hard_surfaces,
     on_surface,
-    returns_behind,
 )
 from spl_batch.airborne.afterpulse.lag_counts import law_at
 from spl_batch.numerics.compiled import njit
@@ -54,41 +53,24 @@ def soft_probability(
 
 
 @njit()
-def plane_probability(
-    i: int, behind: NDArray[np.float64], spreads: NDArray[np.float64], rules: Rules
-) -> float:
-    """The published rule, for unknown channels: below a plane and on no other."""
-    flagged = False
-    for s in range(len(behind)):
-        if on_surface(behind[s, i], spreads[s], rules):
-            return 0.0
-        flagged = flagged or 0.0 < behind[s, i] <= rules.lag_max_m
-    return PLANE_ONLY if flagged else 0.0
-
-
-@njit()
 def follows_surface(
-    i: int, own: tuple[int, int], behind: NDArray[np.float64], spreads: NDArray[np.float64],
-    depths: NDArray[np.float64], w: NDArray[np.float64], rules: Rules,
+    i: int, own: tuple[int, int], behind: NDArray[np.float64], spread: float, depth: float,
+    w: NDArray[np.float64], rules: Rules,
 ) -> bool:  # fmt: skip
-    """Whether a return lies on no surface, and behind a hard one that its beamlet hit.
+    """Whether a return lies behind its shot's hard surface, and its beamlet hit that.
 
-    ``own`` is :func:`beamlet_of` it; ``depths`` (found,) is what :func:`returns_behind` gives, NaN
-    for penetrable surfaces. Unless ranging noise is large, half the dead time is distance enough:
-    the dead time is longer than a hard surface is thick.
+    ``own`` is :func:`beamlet_of` it; ``depth`` is what :func:`depth_behind` gives. Unless ranging
+    noise is large, half the dead time is distance enough: the dead time is longer than a hard
+    surface is thick.
     """
-    for s in range(len(behind)):
-        if abs(behind[s, i]) <= max(0.5 * rules.dead_m, rules.apart * spreads[s]):
-            return False
-        if depths[s] <= behind[s, i] <= depths[s] + 2.0 * rules.below_m:
-            return False
-    for s in range(len(behind)):
-        if np.isnan(depths[s]) or behind[s, i] <= 0.0:
-            continue
-        for j in range(own[0], own[1]):
-            lag = w[i] - w[j]
-            if 0.0 < lag <= rules.chain_m and on_surface(behind[s, j], spreads[s], rules):
-                return True
+    if behind[i] <= max(0.5 * rules.dead_m, rules.apart * spread):
+        return False
+    if depth <= behind[i] <= depth + 2.0 * rules.below_m:
+        return False
+    for j in range(own[0], own[1]):
+        lag = w[i] - w[j]
+        if 0.0 < lag <= rules.chain_m and on_surface(behind[j], spread, rules):
+            return True
     return False
 
 
@@ -129,38 +111,29 @@ def shot_probabilities(
 @njit()
 def _of_shots(shots, u, v, w, channel, lag, known, rules, out):  # type: ignore[no-untyped-def]
     """:func:`shot_probabilities` of a few shots."""
-    n = len(out)
     # Without channels any return may be the first of its beamlet.
     first = (lag == 0) | np.repeat(~known, np.diff(shots))
     spread_max = np.where(known, SHARP * rules.sigma_m, np.inf)
     candidate = candidates(shots, first, RETURNS_MIN, w, rules)
-    number_of = len(shots) - 1
-    planes, spreads = np.empty((number_of, SURFACES_MAX, 3)), np.empty((number_of, SURFACES_MAX))
-    found = np.empty(number_of, np.int64)
-    find_surfaces(shots, u, v, w, candidate, rules, spread_max, planes, spreads, found)
-    behind, depths = np.empty((SURFACES_MAX, n)), np.empty(SURFACES_MAX)
-    for shot in range(number_of):
-        rows, surfaces = (shots[shot], shots[shot + 1]), behind[: found[shot]]
-        _lay_behind(rows, u, v, w, planes[shot], spreads[shot], first, rules, surfaces, depths)
+    found = hard_surfaces(shots, candidate, u, v, w, rules, spread_max)
+    behind = np.empty(len(out))
+    for shot in range(len(shots) - 1):
+        rows, spread, hard = (shots[shot], shots[shot + 1]), found.spread[shot], found.trusted[shot]
+        depth = np.inf
+        if hard:
+            for i in range(rows[0], rows[1]):
+                behind[i] = behind_of(found.plane[shot], i, u, v, w)
+            depth = depth_behind(rows, behind, spread, first, rules)
         for i in range(rows[0], rows[1]):
             out[i] = 0.0
             if not known[shot]:
-                out[i] = plane_probability(i, surfaces, spreads[shot], rules)
+                # The published rule: below the plane, and not on it.
+                below = hard and 0.0 < behind[i] <= rules.lag_max_m
+                out[i] = PLANE_ONLY * (below and not on_surface(behind[i], spread, rules))
             # One farther behind its nearest parent cannot have been started by any.
             elif 0.0 < lag[i] <= rules.longest_m:
                 own = beamlet_of(i, rows, channel)
-                if follows_surface(i, own, surfaces, spreads[shot], depths, w, rules):
+                if hard and follows_surface(i, own, behind, spread, depth, w, rules):
                     out[i] = HARD
                 else:
                     out[i] = soft_probability(i, lag[i], rows, w, first, rules)
-
-
-@njit()
-def _lay_behind(rows, u, v, w, planes, spreads, first, rules, behind, depths):  # type: ignore[no-untyped-def]
-    """Fill how far behind each surface of a shot its returns lie, and ``depths``."""
-    for s in range(len(behind)):
-        for i in range(rows[0], rows[1]):
-            behind[s, i] = behind_of(planes[s], i, u, v, w)
-    for s in range(len(behind)):
-        hard, depth = returns_behind(s, rows, behind, spreads, first, rules)
-        depths[s] = depth if hard else np.nan

@@ -66,17 +66,15 @@ def weigh_around(
     room = most_around(starts, shape) + 2 * WHOLE
     near, mates, some = np.empty(room, np.uint64), np.empty(room, np.uint64), weight != 0
     flat, square, worth = np.zeros(room), np.zeros(room), np.zeros(room, np.int32)
-    first, column = np.zeros(9, np.int64), -1
     spare = spare_rows(xyz.shape[1])
     if len(spare):
         xyz, time, some = xyz[:, spare], time[spare], some[spare]
     for q in range(len(rows)):
         row, bx, by = rows[q], tilt[q, 0], tilt[q, 1]
         span = high + math.ceil(math.hypot(bx, by) * wide)
-        column = _move_up(xyz, starts, shape, edge, row, span, column, first)
         size, fellows = _ellipsoid(
-            xyz, time, some, starts, shape, column, first, row, span, across[0], up[0],
-            (bx, by), near, mates, flat, square,
+            xyz, time, some, starts, shape, edge, row, span, across[0], up[0], (bx, by), near,
+            mates, flat, square,
         )  # fmt: skip
         for i in range(size):
             worth[i] = weight[near[i]]
@@ -105,40 +103,11 @@ def spare_rows(n: int) -> NDArray[np.int64]:
 
 
 @njit()
-def _move_up(
-    xyz: NDArray[np.int32], starts: NDArray[np.int64], shape: tuple[int, int], edge: int,
-    row: int, span: int, before: int, first: NDArray[np.int64],
-) -> int:  # fmt: skip
-    """Where to begin in the columns around a point: its own column.
-
-    ``first`` (9,) receives places below which all heights are more than ``span`` below the point.
-    It holds those of a point in the column ``before``: mostly they are close.
-    """
-    nx, ny = shape
-    own = int(xyz[U0, row] // edge) * ny + int(xyz[U1, row] // edge)
-    bottom, k = xyz[U2, row] - span, 0
-    for i in range(own // ny - 1, own // ny + 2):
-        for j in range(own % ny - 1, own % ny + 2):
-            if 0 <= i < nx and 0 <= j < ny:
-                low, stop = starts[i * ny + j], starts[i * ny + j + 1]
-                at = first[k] if own == before else first_above(xyz, low, stop, bottom)
-                # Heights ascend, so whole vectors are passed by.
-                while at + LANES <= stop and xyz[U2, at + LANES - 1] < bottom:
-                    at += LANES
-                while at > low and xyz[U2, at - 1] >= bottom:
-                    at -= min(at - low, LANES)
-                first[k] = at
-            k += 1
-    return own
-
-
-@njit()
 def _ellipsoid(
     xyz: NDArray[np.int32], time: NDArray[np.float64], counts: NDArray[np.bool_],
-    starts: NDArray[np.int64], shape: tuple[int, int], column: int, first: NDArray[np.int64],
-    row: int, span: int, across: float, up: float, slope: tuple[float, float],
-    near: NDArray[np.uint64], mates: NDArray[np.uint64], flat: NDArray[np.float64],
-    square: NDArray[np.float64],
+    starts: NDArray[np.int64], shape: tuple[int, int], edge: int, row: int, span: int,
+    across: float, up: float, slope: tuple[float, float], near: NDArray[np.uint64],
+    mates: NDArray[np.uint64], flat: NDArray[np.float64], square: NDArray[np.float64],
 ) -> tuple[np.uint64, np.uint64]:  # fmt: skip
     """List what counts in an ellipsoid around a point; its horizontal radius is at most an edge.
 
@@ -151,34 +120,36 @@ def _ellipsoid(
     z, top = spread(np.float64(xyz[U2, row])), xyz[U2, row] + span
     east, north, moment = spread(slope[0]), spread(slope[1]), spread(time[row])
     last = np.uint64(xyz.shape[1]) - UL
+    own = xyz[U0, row] // edge, xyz[U1, row] // edge
     size = fellows = U0
-    k = 0
-    for i in range(column // ny - 1, column // ny + 2):
-        for j in range(column % ny - 1, column % ny + 2):
-            if 0 <= i < nx and 0 <= j < ny:
-                end = np.uint64(starts[i * ny + j + 1])
-                for p in range(np.uint64(first[k]), end, UL):
-                    if xyz[U2, p] > top:
-                        break
-                    # The last eight of the table, where fewer are left of it.
-                    at = min(p, last)
-                    rows = ascending(at)
-                    dx, dy = load(xyz, (U0, at)) - x, load(xyz, (U1, at)) - y
-                    off = load(xyz, (U2, at)) - z - east * dx - north * dy
-                    apart, off = dx * dx + dy * dy, off * off
-                    left = spread(1.0) - apart * spread(across) - off * spread(up)
-                    taken = load(counts, at) & (rows >= spread(p)) & (rows < spread(end))
-                    taken = taken & (left > spread(0.0))
-                    at_once = taken & (load(time, at) == moment)
-                    if number(at_once) > U0:
-                        pack(mates, fellows, rows, at_once)
-                        fellows += number(at_once)
-                        taken = taken & (load(time, at) != moment)
-                    pack(near, size, rows, taken)
-                    pack(flat, size, apart, taken)
-                    pack(square, size, off, taken)
-                    size += number(taken)
-            k += 1
+    for i in range(max(own[0] - 1, 0), min(own[0] + 2, nx)):
+        for j in range(max(own[1] - 1, 0), min(own[1] + 2, ny)):
+            low, stop = starts[i * ny + j], starts[i * ny + j + 1]
+            begin, end = (
+                np.uint64(first_above(xyz, low, stop, xyz[U2, row] - span)),
+                np.uint64(stop),
+            )
+            for p in range(begin, end, UL):
+                if xyz[U2, p] > top:
+                    break
+                # The last eight of the table, where fewer are left of it.
+                at = min(p, last)
+                rows = ascending(at)
+                dx, dy = load(xyz, (U0, at)) - x, load(xyz, (U1, at)) - y
+                off = load(xyz, (U2, at)) - z - east * dx - north * dy
+                apart, off = dx * dx + dy * dy, off * off
+                left = spread(1.0) - apart * spread(across) - off * spread(up)
+                taken = load(counts, at) & (rows >= spread(p)) & (rows < spread(end))
+                taken = taken & (left > spread(0.0))
+                at_once = taken & (load(time, at) == moment)
+                if number(at_once) > U0:
+                    pack(mates, fellows, rows, at_once)
+                    fellows += number(at_once)
+                    taken = taken & (load(time, at) != moment)
+                pack(near, size, rows, taken)
+                pack(flat, size, apart, taken)
+                pack(square, size, off, taken)
+                size += number(taken)
     return size, fellows
 
 

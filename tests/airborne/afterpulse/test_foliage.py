@@ -47,53 +47,42 @@ def test_clumping_is_that_of_a_plain_loop(seed: int, n: int, p: int) -> None:
             near = abs(x[parent] // cell - x[row] // cell) <= foliage.CELLS
             if near and abs(y[parent] // cell - y[row] // cell) <= foliage.CELLS:
                 sums = [a + int(worth) * int(b) for a, b in zip(sums, found, strict=True)]
-        for k in range(1, KERNELS):
-            lent = foliage.PAIRS * UNIT**3
-            pairs = (sums[k] + lent) / VOLUME_M3[k]
-            wide = sums[0] / VOLUME_M3[0] + lent / VOLUME_M3[k]
-            assert got[row, k - 1] == pytest.approx(pairs / wide)
+        wide, narrow = (found / volume for found, volume in zip(sums, VOLUME_M3, strict=True))
+        assert got[row] == pytest.approx(narrow / wide if wide else 1.0)
 
 
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=100, deadline=None)
-def test_density_is_that_of_a_plain_loop_and_between_those_of_the_kernels(seed: int) -> None:
+def test_density_is_that_of_the_formula_and_between_those_of_the_spheres(seed: int) -> None:
     rng = np.random.default_rng(seed)
     counts = rng.uniform(0, 50, KERNELS) * rng.integers(0, 2, KERNELS)
-    near = rng.uniform(0.5, 6, KERNELS - 1)
-    surface = near[0] >= foliage.SURFACE_MIN
-    found = (counts[0] + foliage.LEAST) / VOLUME_M3[0]
-    each = [found]
-    for k in range(1, KERNELS):
-        if k == 1 and not surface:
-            clumped = 1.0
-        elif k > 1 and surface:
-            clumped = near[k - 1] / near[0]
-        else:
-            clumped = near[k - 1]
-        prior = foliage.SHAPE / max(clumped - 1, foliage.CLUMPED_MIN) ** 2
-        found = (counts[k] + prior) / (VOLUME_M3[k] + prior / found)
-        each.append(counts[k] / VOLUME_M3[k])
-    more = max(clumped - 1, 0)
-    even, dense = foliage.SIGHT
-    share = more / (more + foliage.HALF)
-    assert foliage.clumped(near[None])[0] == pytest.approx(share)
-    got = foliage.density(counts[None], near[None])[0] / (even ** (1 - share) * dense**share)
-    assert got == pytest.approx(found)
+    near = rng.uniform(0.5, 6)
+    wide = (counts[0] + foliage.LEAST) / VOLUME_M3[0]
+    prior = foliage.SHAPE / max(near - 1, foliage.CLUMPED_MIN) ** 2
+    more = max(near - 1, 0)
+    assert foliage.clumped(np.array([near]))[0] == pytest.approx(more / (more + foliage.HALF))
+    got = foliage.density(counts[None], np.array([near]))[0]
+    assert got == pytest.approx((counts[1] + prior) / (VOLUME_M3[1] + prior / wide))
+    each = (wide, counts[1] / VOLUME_M3[1])
     assert min(each) * (1 - 1e-9) <= got <= max(each) * (1 + 1e-9)
 
 
-def test_parents_on_a_plane_are_told_from_foliage_and_a_bed_below_is_believed() -> None:
+def test_clumps_are_told_from_even_leaves() -> None:
     rng = np.random.default_rng(2)
     found = []
-    for spread in (0.05, 3.0):
-        points = np.column_stack([rng.uniform(0, 9, (1500, 2)), rng.normal(0, spread, 1500)])
+    for clumps in (1500, 100):
+        middle = rng.uniform(0, 9, (clumps, 3))
+        points = np.repeat(middle, 1500 // clumps, axis=0)
+        points += rng.normal(0, 0.2 if clumps < 1500 else 0.0, points.shape)
         xyz = np.rint(1000 * points).astype(np.int64)
-        rows = np.flatnonzero(np.all(np.abs(points - [4.5, 4.5, 0]) < 2.5, axis=1))
+        rows = np.flatnonzero(np.all(np.abs(points - 4.5) < 2.5, axis=1))
         weight = np.full(len(rows), UNIT, np.int16)
-        near = foliage.clumping(
-            xyz[:, 0], xyz[:, 1], rows, weight, counts_around(xyz, rows), rows[:1]
+        found.append(
+            foliage.clumping(xyz[:, 0], xyz[:, 1], rows, weight, counts_around(xyz, rows), rows[:1])
         )
-        found.append(near)
-    assert found[0][0, 0] > 4 > foliage.SURFACE_MIN > 2 > found[1][0, 0]
-    sparse_bed = np.array([[3.0, 3.0, 0.2, 0.0]])
-    assert foliage.density(sparse_bed, found[0]) > 4 * foliage.density(sparse_bed, found[1])
+    even, dense = found
+    assert 0.7 < even[0] < 1.3
+    assert dense[0] > 3.0
+    # One other return near by is a clump's among clumps, and chance where leaves are even.
+    lone = np.array([[0.5, 0.5]])
+    assert foliage.density(lone, dense) > 3 * foliage.density(lone, even)

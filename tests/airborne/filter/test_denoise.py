@@ -44,7 +44,8 @@ CLOSE = FilterSettings(
 
 def as_table(xyz: NDArray[Any], **columns: NDArray[Any]) -> PointTable:
     n = len(xyz)
-    zeros = ("channel", "return_number", "flags", "source")
+    zeros = ("channel", "return_number", "flags", "source", "line_density", "afterpulse_rate",
+             "afterpulse_share", "range_sigma")  # fmt: skip
     table = PointTable({}).with_columns(
         x=xyz[:, 0], y=xyz[:, 1], z=xyz[:, 2], gps_time=np.arange(n), index=np.arange(n),
         **dict.fromkeys(zeros, np.zeros(n)),
