@@ -26,16 +26,20 @@ def _group(source: CRS, target: CRS) -> TransformerGroup:
 
 @lru_cache(maxsize=64)
 def lacks(source: CRS, target: CRS) -> str:
-    """What PROJ lacks for the best transformation, and how to get it; empty where it has all."""
+    """What PROJ lacks for the best transformation, and how to get it; empty where it has all.
+
+    A command for each grid: of several ``--file`` pyproj takes the last.
+    """
     try:
         group = _group(source, target)
     except ProjError:
         return "knows none"
     if group.best_available:
         return ""
-    grids = [grid.short_name for one in group.unavailable_operations[:1] for grid in one.grids]
-    files = " ".join(f"--file {name}" for name in grids)
-    return f"lacks what `pyproj sync {files}` fetches" if grids else "knows none"
+    best = group.unavailable_operations[:1]
+    missing = [grid.short_name for one in best for grid in one.grids if not grid.available]
+    commands = " && ".join(f"pyproj sync --file {name}" for name in missing)
+    return f"lacks what `{commands}` fetches" if missing else "knows none"
 
 
 @lru_cache(maxsize=64)
