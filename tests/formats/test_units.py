@@ -13,7 +13,7 @@ from spl_batch.errors import InputError, WorkflowError
 from spl_batch.formats import reprojection
 from spl_batch.formats.crs import compound, horizontal, in_unit, same_crs, vertical
 from spl_batch.formats.geoid import Geoid
-from spl_batch.formats.heights import is_above_ellipsoid, with_vertical
+from spl_batch.formats.heights import SOME_HEIGHTS, is_above_ellipsoid, names_datum, with_vertical
 from spl_batch.formats.las.reader import inspect, iter_points
 from spl_batch.formats.las.writer import write_points
 from spl_batch.formats.rasters.geotiff import write_cog
@@ -299,6 +299,47 @@ def test_a_raster_names_the_parts_of_a_crs_with_a_code_of_its_own(
             crs = source.crs.to_wkt()
         found = CRS.from_wkt(crs)
         assert [part.to_epsg() for part in (horizontal(found), vertical(found))] == codes
+
+
+@pytest.mark.parametrize("unit", NAMES)
+@pytest.mark.parametrize(
+    ("text", "datum"),
+    [
+        ("EPSG:32615+3855", "EGM2008 geoid"),
+        ("EPSG:32615+5773", "EGM96 geoid"),
+        ("EPSG:32619+5713", "Canadian Geodetic Vertical Datum of 1928"),
+        ("EPSG:7405", "Ordnance Datum Newlyn"),
+        ("EPSG:25832+5783", "Deutsches Haupthoehennetz 1992"),
+        (TEXAS, "North American Vertical Datum 1988"),
+    ],
+)
+def test_a_raster_names_the_datum_of_heights_in_any_unit(
+    tmp_path: Path, text: str, datum: str, unit: str
+) -> None:
+    crs, path = in_unit(CRS.from_user_input(text), NAMES[unit]).to_wkt(), tmp_path / "dtm"
+    for _ in range(2):
+        write_cog(
+            path, np.array([[812.5]], np.float32), shape=(1, 1), origin_xy_m=(4.0, 9.0), crs=crs,
+            description="", unit="m",
+        )  # fmt: skip
+        with rasterio.open(path) as source:
+            crs = source.crs.to_wkt()
+        found = CRS.from_wkt(crs)
+        assert vertical(found).datum.name == datum
+        assert Units.of(found).vertical == NAMES[unit]
+
+
+def test_a_raster_names_no_datum_that_heights_have_not(tmp_path: Path) -> None:
+    heights = in_unit(SOME_HEIGHTS, US_FOOT)
+    crs = compound(CRS("EPSG:2278"), heights).to_wkt()
+    write_cog(
+        tmp_path / "dtm", np.array([[812.5]], np.float32), shape=(1, 1), origin_xy_m=(4.0, 9.0),
+        crs=crs, description="", unit="m",
+    )  # fmt: skip
+    with rasterio.open(tmp_path / "dtm") as source:
+        found = CRS.from_wkt(source.crs.to_wkt())
+    assert not names_datum(found)
+    assert Units.of(found).vertical == US_FOOT
 
 
 def test_another_unit_needs_a_crs() -> None:

@@ -12,7 +12,10 @@ import rasterio
 import rasterio.shutil
 from numpy.typing import NDArray
 from pyproj import CRS
+from pyproj.crs import Datum
+from pyproj.crs.enums import DatumType
 from pyproj.database import get_units_map
+from pyproj.exceptions import ProjError
 from rasterio._err import CPLE_BaseError
 from rasterio.enums import Resampling
 from rasterio.errors import CRSError, RasterioError
@@ -21,7 +24,7 @@ from rasterio.windows import Window
 
 from spl_batch.constants import NODATA
 from spl_batch.errors import InputError, StoppedError
-from spl_batch.formats.crs import compound, horizontal
+from spl_batch.formats.crs import compound, horizontal, vertical
 from spl_batch.formats.files.atomic import replacing, scratch_folder
 from spl_batch.formats.units import Units
 
@@ -37,6 +40,9 @@ CACHE_BYTES: Final = 64 * 2**20
 
 _UNIT_OF_HEIGHTS: Final = re.compile(r'(VERTCRS\[.*LENGTHUNIT\["[^"]*",[0-9.]+)\]', re.DOTALL)
 """Unit without a code, within the part of a WKT 2 that is of heights."""
+
+_DATUM_OF_HEIGHTS: Final = re.compile(r'(VDATUM\["[^"]*")\]')
+"""Vertical datum without a code in a WKT 2."""
 
 
 def write_cog(
@@ -121,20 +127,38 @@ def write_cog(
 
 
 def _with_codes(crs: rasterio.crs.CRS, whole: CRS, units: Units) -> rasterio.crs.CRS:
-    """The same with the codes that GDAL writes, of a compound's parts and of the unit of heights.
+    """The same with the codes that GDAL writes, of a compound's parts, of its datum and unit.
 
     Where a compound has a code, WKT 2 leaves out those of its parts, and GDAL names another datum
-    of heights; without the unit's, which is EPSG's too, it writes metres.
+    of heights. Of a vertical CRS without one, as of EGM2008 in feet, it writes no datum but by
+    code, and metres but by the unit's, which is EPSG's too.
     """
     code = whole.to_authority(min_confidence=100) if whole.is_compound else None
     if code is not None:
         parts = compound(*CRS.from_authority(*code).sub_crs_list)
         crs = rasterio.crs.CRS.from_wkt(parts.to_wkt())
-    known = get_units_map(auth_name="EPSG", category="linear").get(units.vertical)
-    if known is None or units.vertical_m == 1.0:
+    unit = get_units_map(auth_name="EPSG", category="linear").get(units.vertical)
+    datum = _datum_code(vertical(whole))
+    if datum is None and (unit is None or units.vertical_m == 1.0):
         return crs
-    coded = rf'\1,ID["EPSG",{known.code}]]'
-    return rasterio.crs.CRS.from_wkt(_UNIT_OF_HEIGHTS.sub(coded, crs.to_wkt(version="WKT2_2019")))
+    text = crs.to_wkt(version="WKT2_2019")
+    if unit is not None:
+        text = _UNIT_OF_HEIGHTS.sub(rf'\1,ID["EPSG",{unit.code}]]', text)
+    if datum is not None:
+        text = _DATUM_OF_HEIGHTS.sub(rf'\1,ID["EPSG",{datum}]]', text)
+    return rasterio.crs.CRS.from_wkt(text)
+
+
+def _datum_code(heights: CRS | None) -> int | None:
+    """EPSG's code of the datum of a vertical CRS without a code of its own, if it has one."""
+    if heights is None or heights.datum is None or "id" in heights.to_json_dict():
+        return None
+    kind = DatumType.VERTICAL_REFERENCE_FRAME
+    try:
+        known = Datum.from_name(heights.datum.name, auth_name="EPSG", datum_type=kind)
+    except ProjError:
+        return None  # unknown, or a name of its own
+    return int(known.to_json_dict()["id"]["code"])
 
 
 def _divided(block: NDArray[np.float32], unit_m: float, nodata: float) -> NDArray[np.float32]:
