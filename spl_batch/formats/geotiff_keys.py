@@ -19,13 +19,14 @@ from spl_batch.formats.crs import (
     above_ellipsoid,
     compound,
     crs_from_wkt,
+    crs_name,
     horizontal,
     in_unit,
     is_nameless,
     vertical,
 )
 from spl_batch.formats.heights import SOME_HEIGHTS
-from spl_batch.formats.units import METRE, Units, metres_in
+from spl_batch.formats.units import Units, in_words, metres_in
 
 GEO_KEYS: Final = (
     ("LASF_Projection", 34735),
@@ -48,9 +49,7 @@ def crs_from_geotiff(directory: bytes, doubles: bytes, text: bytes) -> CRS | Non
     the vertical CRS beside a unit of heights. Records 34735 to 34737, of which the last two may be
     empty, are TIFF tags byte for byte, so they are put into a TIFF of one pixel.
     """
-    entries = np.frombuffer(directory[: len(directory) // 8 * 8], "<u2").reshape(-1, 4)
-    entries = entries[: 1 + int(entries[:1, 3].sum())]  # some writers pad
-    keys = dict(entries[1:, [0, 3]].tolist())
+    entries, keys = _entries(directory)
     found = _by_gdal(entries[entries[:, 0] != _VERTICAL_UNIT_KEY], doubles, text)
     if found is None:
         return None
@@ -68,6 +67,34 @@ def crs_from_geotiff(directory: bytes, doubles: bytes, text: bytes) -> CRS | Non
     return flat if is_nameless(heights.name) and Units.of(whole).are_metres else whole
 
 
+def contradicted_unit(directory: bytes) -> str:
+    """Sentence on heights of GeoTIFF keys in another unit than their vertical CRS; else empty.
+
+    The unit counts, as it does beside a CRS that has none of its own: a code is often copied.
+    """
+    _, keys = _entries(directory)
+    heights = _vertical_crs(keys.get(_VERTICAL_CRS_KEY, 0))
+    if heights is None:
+        return ""
+    own, stated = (
+        Units.of(crs) for crs in (heights, _in_unit(heights, keys.get(_VERTICAL_UNIT_KEY)))
+    )
+    if own.vertical_m == stated.vertical_m:
+        return ""
+    return (
+        f"its GeoTIFF keys name {crs_name(heights)}, which is in {in_words(own.vertical)}, and "
+        f"state heights in {in_words(stated.vertical)}: these are taken; correct the file if that "
+        "is wrong"
+    )
+
+
+def _entries(directory: bytes) -> tuple[NDArray[np.uint16], dict[int, int]]:
+    """Header and keys of a directory, (n, 4), and their values by number."""
+    entries = np.frombuffer(directory[: len(directory) // 8 * 8], "<u2").reshape(-1, 4)
+    entries = entries[: 1 + int(entries[:1, 3].sum())]  # some writers pad
+    return entries, dict(entries[1:, [0, 3]].tolist())
+
+
 def _vertical_crs(code: int) -> CRS | None:
     """Vertical CRS of a code, which GDAL leaves out beside a local CRS."""
     try:
@@ -78,15 +105,12 @@ def _vertical_crs(code: int) -> CRS | None:
 
 
 def _in_unit(crs: CRS, code: int | None) -> CRS:
-    """A local or vertical CRS, or heights of a 3D one, in a unit by its code.
-
-    Metres, GDAL's default, are none to be set.
-    """
+    """A local or vertical CRS, or heights of a 3D one, in a unit by its code; as it is by none."""
     units = get_units_map(auth_name="EPSG", category="linear").items()
-    name = next((name for name, unit in units if unit.code == str(code)), METRE)
-    metres, own = metres_in(name) or 1.0, Units.of(crs)
-    deep = len(crs.axis_info) > 2
-    if metres in {1.0, own.vertical_m if deep or crs.is_vertical else own.horizontal_m}:
+    name = next((name for name, unit in units if unit.code == str(code)), None)
+    own, deep = Units.of(crs), len(crs.axis_info) > 2
+    own_m = own.vertical_m if deep or crs.is_vertical else own.horizontal_m
+    if name is None or metres_in(name) == own_m:
         return crs
     return above_ellipsoid(crs, name) if deep else in_unit(crs, name)
 

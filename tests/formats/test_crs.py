@@ -188,6 +188,17 @@ def test_a_vertical_crs_of_geotiff_keys_keeps_its_name_in_their_unit(
         assert same_heights(heights, CRS.from_epsg(code))
 
 
+@pytest.mark.parametrize(("unit", "name"), [(9001, "metre"), (9002, "foot"), (9003, US_FOOT)])
+@pytest.mark.parametrize("code", [5102, 5103, 5702, 6360])
+def test_every_unit_of_geotiff_keys_counts_more_than_that_of_the_code(
+    code: int, unit: int, name: str
+) -> None:
+    found = _keys((1024, 1), (3072, 26915), (4096, code), (4099, unit))
+    assert Units.of(found).vertical == name
+    datum = "North American Vertical Datum 1988", "National Geodetic Vertical Datum 1929"
+    assert vertical(found).datum.name == datum[code in {5102, 5702}]
+
+
 def test_keys_that_are_padded_are_read_as_far_as_they_are_counted() -> None:
     keys = [1, 1, 0, 3, 1024, 0, 1, 1, 3072, 0, 1, 32615, 4099, 0, 1, 9003, *[0] * 8]
     crs = crs_from_geotiff(np.array(keys, "<u2").tobytes(), b"", b"")

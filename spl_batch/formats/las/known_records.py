@@ -25,10 +25,10 @@ from spl_batch.formats.crs import (
     same_crs,
     vertical,
 )
-from spl_batch.formats.geotiff_keys import GEO_KEYS, crs_from_geotiff
+from spl_batch.formats.geotiff_keys import GEO_KEYS, contradicted_unit, crs_from_geotiff
 from spl_batch.formats.heights import (
     names_datum,
-    same_heights,
+    other_heights,
     states_heights,
     with_heights_of,
 )
@@ -78,7 +78,8 @@ def header_crs(header: LasHeader) -> tuple[CRS | None, tuple[str, ...]]:
         return rivals[bit], (text,)
     try:
         known = _of_both(header) or _wkt_crs(header) or _keys_crs(header)
-        return known or _liblas_crs(header), ()
+        odd = contradicted_unit(_keys(header)[0])
+        return known or _liblas_crs(header), (odd,) if odd else ()
     except CRSError as error:
         reason = brief(plain(" ".join(str(error).split())), _CRS_TEXT_MAX)
         return None, (f"the CRS record is not understood ({reason}): name the CRS in survey.crs",)
@@ -111,8 +112,12 @@ def _rivals(header: LasHeader) -> tuple[CRS, CRS] | None:
 
 
 def _agree(a: CRS, b: CRS, header: LasHeader) -> bool:
-    """Whether two CRS put the middle of a file at the same place."""
-    if not _same_zero(a, b):
+    """Whether two CRS put the middle of a file at the same place.
+
+    Heights that one alone states, or whose datum one alone names, contradict nothing.
+    """
+    both, units = states_heights(a) and states_heights(b), {Units.of(x).vertical_m for x in (a, b)}
+    if both and (len(units) > 1 or other_heights(a, b)):
         return False
     flat = horizontal(a), horizontal(b)
     if same_crs(a, b) or not all(crs.is_projected or crs.is_geographic for crs in flat):
@@ -120,20 +125,6 @@ def _agree(a: CRS, b: CRS, header: LasHeader) -> bool:
     place = np.mean([header.mins_m[:2], header.maxs_m[:2]], axis=0)
     there = Transformer.from_crs(*flat, always_xy=True).transform(*place)
     return bool(np.hypot(*(there - place)) < _SAME_PLACE_M)
-
-
-def _same_zero(a: CRS, b: CRS) -> bool:
-    """Whether heights are in the same unit above the same, a datum or the ellipsoid.
-
-    Those that one alone states contradict nothing.
-    """
-    if not (states_heights(a) and states_heights(b)):
-        return True
-    one, other = vertical(a), vertical(b)
-    if one is not None and other is not None:
-        return same_heights(one, other)
-    # A third axis is the height above the ellipsoid.
-    return one is other and Units.of(a).vertical_m == Units.of(b).vertical_m
 
 
 def _of_both(header: LasHeader) -> CRS | None:
@@ -148,10 +139,13 @@ def _of_both(header: LasHeader) -> CRS | None:
 
 
 def _keys_crs(header: LasHeader) -> CRS | None:
-    directory, doubles, text = (
-        b"" if vlr is None else vlr.data for vlr in (header.vlr(*k) for k in GEO_KEYS)
-    )
+    directory, doubles, text = _keys(header)
     return crs_from_geotiff(directory, doubles, text) if directory else None
+
+
+def _keys(header: LasHeader) -> tuple[bytes, ...]:
+    """Directory, doubles and text of GeoTIFF keys; empty where there are none."""
+    return tuple(b"" if vlr is None else vlr.data for vlr in (header.vlr(*k) for k in GEO_KEYS))
 
 
 def _wkt_crs(header: LasHeader) -> CRS | None:

@@ -13,7 +13,7 @@ from pyproj.crs import CompoundCRS
 
 from spl_batch.constants import US_FOOT_M
 from spl_batch.errors import InputError, WorkflowError
-from spl_batch.formats.crs import horizontal
+from spl_batch.formats.crs import horizontal, vertical
 from spl_batch.formats.gps_clock import TimeStandard
 from spl_batch.formats.las.convert import EXTENDED_FORMAT
 from spl_batch.formats.las.copc import copy_as_copc
@@ -21,7 +21,7 @@ from spl_batch.formats.las.header import read_header
 from spl_batch.formats.las.known_records import broken_records, header_crs
 from spl_batch.formats.las.reader import iter_points
 from spl_batch.formats.las.writer import write_classified, write_points
-from spl_batch.formats.units import Units
+from spl_batch.formats.units import Units, in_words
 from spl_batch.lattice.tables import SOURCE_COLUMNS, PointTable, concat
 from tests.io_files import VERSIONS, patch, write_las
 
@@ -248,6 +248,9 @@ DATUMS = (
     ([5703], "EPSG:32615+5773", False),
     ([5019], "EPSG:32615+5703", False),
     ([5703, 9001], "EPSG:32615", True),
+    ([6360], "EPSG:32615+6360", True),
+    ([6360, 9001], "EPSG:32615+6360", False),
+    ([6360, 9001], "EPSG:32615+5703", False),  # the keys contradict themselves
 )
 
 
@@ -263,6 +266,24 @@ def test_heights_of_keys_and_wkt_are_above_the_same(
     records.append(laspy.VLR("LASF_Projection", 2112, "", wkt))
     src = write_las(tmp_path / "a.las", version="1.4", point_format=6, vlrs=records)
     assert (header_crs(read_header(src))[1] == ()) == agree
+
+
+@pytest.mark.parametrize("unit", [9001, 9002, 9003])
+@pytest.mark.parametrize("code", [5703, 8228, 6360])
+def test_a_unit_of_heights_counts_more_than_a_vertical_crs_that_contradicts_it(
+    tmp_path: Path, code: int, unit: int
+) -> None:
+    by_unit = {9001: 5703, 9002: 8228, 9003: 6360}
+    keys = [1, 1, 0, 4, 1024, 0, 1, 1, 3072, 0, 1, 26915, 4096, 0, 1, code, 4099, 0, 1, unit]
+    record = laspy.VLR("LASF_Projection", 34735, "", np.array(keys, "<u2").tobytes())
+    crs, warnings = header_crs(read_header(write_las(tmp_path / "a.las", vlrs=[record])))
+    assert crs is not None
+    assert vertical(crs).to_epsg() == by_unit[unit]
+    assert len(warnings) == (by_unit[unit] != code)
+    units = [Units.of(CRS(named)).vertical for named in (code, by_unit[unit])]
+    assert all(
+        f"EPSG:{code}" in text and all(in_words(one) in text for one in units) for text in warnings
+    )
 
 
 @pytest.mark.parametrize("point_format", [1, 6])
