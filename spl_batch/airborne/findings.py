@@ -103,7 +103,7 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "local": "the CRS that files name, {crs}, does not say where on earth it is",
                 "others": "no CRS in the file; its coordinates are taken as {crs}, in {unit}, as "
                 "of others",
-                "vertical": "no vertical CRS in the file; its heights are taken as {crs}, as of "
+                "vertical": "no vertical datum in the file; its heights are taken as {crs}, as of "
                 "others",
                 "unit": "nothing states the unit of heights; they are taken in {unit}, as "
                 "eastings are (survey.vertical_crs: {codes})",

@@ -12,8 +12,11 @@ from spl_batch.airborne.plan.inputs.survey_inputs import Inputs, gather_inputs
 from spl_batch.airborne.settings import OutputSettings
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.errors import WorkflowError
-from spl_batch.formats.crs import horizontal, vertical
-from spl_batch.formats.units import Units
+from spl_batch.formats.crs import WKT_KEY, compound, horizontal, in_unit, vertical
+from spl_batch.formats.heights import SOME_HEIGHTS, names_datum
+from spl_batch.formats.las.header import read_header
+from spl_batch.formats.las.known_records import kept_records
+from spl_batch.formats.units import US_FOOT, Units
 from tests import surveys
 
 UTM, NAVD88, EGM96 = "EPSG:32615", "EPSG:32615+5703", "EPSG:32615+5773"
@@ -62,6 +65,56 @@ def test_files_of_another_datum_are_bad_and_those_of_none_are_told(tmp_path: Pat
     (one,) = surveys.found(inputs.warnings, "I08", "vertical")
     assert one.subject == "3.laz"
     assert "NAVD88" in one.values["crs"]
+
+
+UNKNOWN_FEET = compound(CRS(FEET), in_unit(SOME_HEIGHTS, US_FOOT)).to_wkt()
+
+
+@pytest.mark.parametrize(
+    ("files", "wanted", "named"),
+    [
+        ([FEET_NAVD88, UNKNOWN_FEET], "NAVD88", ["1.laz"]),
+        ([UNKNOWN_FEET] * 3 + [FEET_NAVD88], "NAVD88", ["0.laz", "1.laz", "2.laz"]),
+        ([UNKNOWN_FEET, FEET, FEET_NAVD88], "NAVD88", ["0.laz", "1.laz"]),
+        ([UNKNOWN_FEET, FEET], "unknown", ["1.laz"]),
+        ([UNKNOWN_FEET] * 2, "unknown", []),
+        ([CRS(UTM).to_3d().to_wkt(), UTM], "above the ellipsoid by 'WGS 84 / UTM", ["1.laz"]),
+    ],
+)
+def test_files_that_name_a_datum_decide_on_it_for_those_that_do_not(
+    tmp_path: Path, files: list[str | None], wanted: str, named: list[str]
+) -> None:
+    inputs = gathered(tmp_path, files)
+    assert len(inputs.sources) == len(files)
+    found = surveys.found(inputs.warnings, "I08", "vertical")
+    assert [one.subject for one in found] == named
+    assert all(wanted in one.values["crs"] for one in found)
+    assert inputs.crs is not None
+    delivered = set()
+    for source in inputs.sources:
+        header = read_header(source.path)
+        vlrs, evlrs, _ = kept_records(header, inputs.crs)
+        delivered.update(
+            names_datum(CRS(one.data.rstrip(b"\0").decode())) for one in vlrs if one.key == WKT_KEY
+        )
+        assert not evlrs
+    if wanted == "NAVD88":
+        assert delivered == {True}
+        assert code(inputs.crs) == 6360
+
+
+def test_a_file_of_heights_that_have_a_name_alone_has_a_vote(tmp_path: Path) -> None:
+    named = UNKNOWN_FEET.replace('VERTCRS["unknown"', 'VERTCRS["EGM96 height (ftUS)"')
+    inputs = gathered(tmp_path, [named, named, FEET_NAVD88])
+    assert [Path(fault.path).name for fault in inputs.bad] == ["2.laz"]
+    assert vertical(inputs.crs).name == "EGM96 height (ftUS)"
+
+
+def test_a_record_of_a_unit_alone_is_kept_where_the_survey_knows_no_more(tmp_path: Path) -> None:
+    path = surveys.write_cloud(tmp_path / "0.laz", surveys.flightline(shots=5), crs=UNKNOWN_FEET)
+    survey = CRS(UNKNOWN_FEET.replace('VERTCRS["unknown"', 'VERTCRS["user-defined"'))
+    header = read_header(path)
+    assert kept_records(header, survey)[0] == [one for one in header.vlrs if one.key == WKT_KEY]
 
 
 def test_a_file_without_a_crs_beside_others_is_told(tmp_path: Path) -> None:

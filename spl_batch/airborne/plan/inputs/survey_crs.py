@@ -32,6 +32,7 @@ from spl_batch.formats.crs import (
 from spl_batch.formats.heights import (
     NAVD88,
     completed,
+    heights_above,
     heights_fault,
     states_heights,
     with_heights_of,
@@ -155,6 +156,7 @@ def with_heights(
 
     It is that of the setting ``survey.crs``, else what most points say in the unit that most have:
     a few files that state metres do not make metres of feet that others leave to their eastings.
+    Files that name a datum decide on it for those that state a unit alone.
     """
     if crs is None:
         return None, list(files), []
@@ -165,11 +167,13 @@ def with_heights(
     own = [(facts, completed(facts.crs, stated)) for facts in files if facts.crs is not None]
     if named is None:
         unit_m = _of_most((facts, Units.of(found).vertical_m) for facts, found in own)
-        named = _of_most(
-            (facts, vertical(found) or found)
+        stating = [
+            (facts, found)
             for facts, found in own
             if states_heights(found) and Units.of(found).vertical_m == unit_m
-        )
+        ]
+        naming = [(facts, found) for facts, found in stating if heights_above(found)]
+        named = _of_most((facts, vertical(found) or found) for facts, found in naming or stating)
     whole = crs if named is None else with_heights_of(crs, named)
 
     def differ(facts: LasFacts) -> str:
@@ -178,11 +182,6 @@ def with_heights(
         return heights_fault(completed(facts.crs, stated), whole, "name it in survey.crs:")
 
     return whole, *usable(files, differ)
-
-
-def _heights(facts: LasFacts) -> CRS | None:
-    """Vertical CRS that a file names."""
-    return None if facts.crs is None else vertical(facts.crs)
 
 
 def crs_findings(
@@ -220,14 +219,15 @@ def _without_crs(files: Iterable[tuple[str, LasFacts]]) -> list[str]:
 
 
 def _without_heights(crs: CRS, files: Iterable[tuple[str, LasFacts]]) -> list[Finding]:
-    """Files without a vertical CRS beside others that have one."""
-    named = vertical(crs)
-    some = [(name, facts) for name, facts in files if facts.crs is not None and facts.n_points]
-    lacking = [name for name, facts in some if _heights(facts) is None]
-    if named is None or len(lacking) == len(some):
+    """Files that do not name what heights are above, or their unit, beside others that do."""
+    states = heights_above if heights_above(crs) else states_heights
+    some = [(name, facts.crs) for name, facts in files if facts.crs is not None and facts.n_points]
+    lacking = [name for name, found in some if not states(found)]
+    if not states(crs) or len(lacking) == len(some):
         return []
-    values = {"kind": "vertical", "crs": crs_name(named)}
-    return [Finding("I08", values, name) for name in lacking]
+    heights = vertical(crs)
+    above = f"above the ellipsoid by {crs_name(crs)}" if heights is None else crs_name(heights)
+    return [Finding("I08", {"kind": "vertical", "crs": above}, name) for name in lacking]
 
 
 def _without_wrong_crs(facts: LasFacts, given: CRS | None) -> LasFacts:
