@@ -66,8 +66,9 @@ Places = NDArray[np.float64]
 class Reprojection:
     """From the CRS of a survey to one that a user names, or to the same in another unit.
 
-    Heights change where both name a vertical CRS, or the ellipsoid of another datum; without one in
-    the target they stay above what they are, in the survey's unit unless one is named. What PROJ
+    Heights change where both name a vertical CRS, or one of them the ellipsoid, but not that of one
+    datum both; without one in the target they stay above what they are, in the survey's unit unless
+    one is named. Another unit alone is an exact factor. What PROJ
     needs for it, a grid too, is asked for once points are moved or checked, not for the name.
 
     Parameters
@@ -95,13 +96,12 @@ class Reprojection:
                 f"{self.key}: the survey has no CRS on earth: name it in survey.crs"
             )
         named = named or survey
-        mine, wanted = vertical(survey), vertical(named)
         asked = named is not survey and states_heights(named)
-        if asked and (not names_datum(survey) or (mine is None and wanted is not None)):
+        if asked and not names_datum(survey):
             raise WorkflowError(
-                f"{KEY}: {crs_name(wanted or named)} is named, and nothing says what the survey's "
-                "heights are above: name it in survey.vertical_crs; from the ellipsoid to a geoid "
-                "leads outputs.geoid"
+                f"{KEY}: {crs_name(vertical(named) or named)} is named, and nothing says what the "
+                "survey's heights are above: name it in survey.vertical_crs; from the ellipsoid to "
+                "a geoid leads outputs.geoid"
             )
         kept = states_heights(survey) and not states_heights(named)
         whole = with_heights_of(named, survey) if kept else named
@@ -113,6 +113,10 @@ class Reprojection:
 
     @cached_property
     def _flat(self) -> Transformer:
+        if self.key != KEY:
+            # EPSG rounds the false origins of twins: by PROJ they lie up to 0.1 mm apart.
+            factor = Units.of(self._survey).horizontal_m / self._to.horizontal_m
+            return Transformer.from_pipeline(f"+proj=affine +s11={factor!r} +s22={factor!r}")
         return self._transformer(horizontal(self._survey), horizontal(self.crs))
 
     @cached_property

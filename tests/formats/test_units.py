@@ -1,5 +1,6 @@
 """Feet: what is read is metres, what is written is the CRS's unit, and nothing is guessed."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import laspy
@@ -7,11 +8,19 @@ import numpy as np
 import pytest
 import rasterio
 from pyproj import CRS, Transformer
+from pyproj.datadir import append_data_dir, get_data_dir, set_data_dir
 
 from spl_batch.constants import FOOT_M, NODATA, QUANTUM_M
 from spl_batch.errors import InputError, WorkflowError
 from spl_batch.formats import reprojection
-from spl_batch.formats.crs import compound, horizontal, in_unit, same_crs, vertical
+from spl_batch.formats.crs import (
+    above_ellipsoid,
+    compound,
+    horizontal,
+    in_unit,
+    same_crs,
+    vertical,
+)
 from spl_batch.formats.geoid import Geoid
 from spl_batch.formats.heights import SOME_HEIGHTS, is_above_ellipsoid, names_datum, with_vertical
 from spl_batch.formats.las.reader import inspect, iter_points
@@ -20,6 +29,7 @@ from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.formats.rasters.parts import overview_frame, read_overview, read_part
 from spl_batch.formats.reprojection import Reprojection
 from spl_batch.formats.trajectory.positions import PointExtent, gathering
+from spl_batch.formats.transformations import best_transformer, lacks
 from spl_batch.formats.units import COMMON, METRES, NAMES, US_FOOT, Units
 from tests import surveys
 from tests.formats.test_geoid import write_grid
@@ -143,9 +153,12 @@ def test_a_crs_in_another_unit_is_epsgs_twin(text: str, unit: str, twin: str) ->
 
 WITHOUT_TWIN = ["EPSG:32615", "EPSG:25832+5783", "EPSG:2193+7839", "EPSG:2992+8228", MIXED]
 
+WITH_TWIN = ["EPSG:6588", "EPSG:6587", "EPSG:2225+6360", TEXAS]
+"""Their false northings differ by 0.1 mm from those of the twin."""
+
 
 @pytest.mark.parametrize("unit", NAMES)
-@pytest.mark.parametrize("text", WITHOUT_TWIN)
+@pytest.mark.parametrize("text", [*WITHOUT_TWIN, *WITH_TWIN])
 def test_another_unit_is_an_exact_factor_that_every_file_states(
     tmp_path: Path, text: str, unit: str
 ) -> None:
@@ -157,8 +170,7 @@ def test_another_unit_is_an_exact_factor_that_every_file_states(
     low, high = (1_600_000.0, 5_200_000.0, -50.0), (1_700_000.0, 5_300_000.0, 900.0)
     places = np.random.default_rng(1).uniform(low, high, (100, 3))
     factor = np.divide(own.xyz_m, made.xyz_m)
-    off = there.places(places) - places * factor
-    assert np.abs(off * made.xyz_m).max() < 2e-4  # false northings of twins differ by 0.1 mm
+    np.testing.assert_array_equal(there.places(places), places * factor)
     heights = np.array([[812.5]], np.float32)
     write_cog(
         tmp_path / "dtm", heights, shape=(1, 1), origin_xy_m=(4.0, 9.0), crs=there.crs.to_wkt(),
@@ -172,6 +184,25 @@ def test_another_unit_is_an_exact_factor_that_every_file_states(
     part = read_part(tmp_path / "dtm", (4.1, 8.1, 4.2, 8.2))
     assert part is not None
     np.testing.assert_allclose(part.values, heights, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("text", "unit"), [("EPSG:6588", "m"), ("EPSG:6587", "us-ft")])
+def test_a_raster_in_another_unit_has_the_cells_of_its_original(
+    tmp_path: Path, text: str, unit: str
+) -> None:
+    plane = np.add.outer(-16.0 * np.arange(192), 2.0 * np.arange(60)).astype(np.float32)
+    write_cog(
+        tmp_path / "dtm", plane, shape=plane.shape, origin_xy_m=(900_000.0, 4_200_000.0),
+        cell_m=1.0, crs=text, description="", unit="m",
+    )  # fmt: skip
+    there = Reprojection(CRS(text), None, unit)
+    how = {"cell": there.in_units(1.0), "above_datum": True, "meaning": "", "unit": "m"}
+    there.raster(tmp_path / "dtm", tmp_path / "b", **how)  # type: ignore[arg-type]
+    with rasterio.open(tmp_path / "b") as source:
+        assert source.shape == plane.shape
+        values = source.read(1).astype(float) * Units.of(there.crs).vertical_m
+    # The slope is 16: a shift by 0.1 mm would be 1.6 mm.
+    np.testing.assert_allclose(values[1:-1, 1:-1], plane[1:-1, 1:-1], atol=5e-4)
 
 
 @pytest.mark.parametrize("name", ["unknown", "unknown height", "User-Defined", "County heights"])
@@ -225,8 +256,54 @@ def test_heights_above_the_ellipsoid_of_another_datum_are_transformed() -> None:
     *_, height = Transformer.from_crs(*ends, always_xy=True).transform(x, y, 100.0)
     assert abs(height - 100.0) > 0.05
     assert there.places(place)[0, 2] == pytest.approx(height, abs=1e-4)
-    with pytest.raises(WorkflowError, match=r"outputs\.geoid"):
-        Reprojection(CRS("EPSG:28355").to_3d(), "EPSG:7855+5711")
+
+
+@pytest.fixture
+def undulation(tmp_path: Path) -> Iterator[float]:
+    """Height of a geoid above the ellipsoid, by a flat grid in place of NOAA's [m]."""
+    folders, height = get_data_dir(), -27.5
+    corner = rasterio.Affine(0.5, 0.0, -95.25, 0.0, -0.5, 31.25)
+    profile = {"driver": "GTiff", "width": 5, "height": 5, "count": 1, "dtype": "float32"}
+    with rasterio.open(
+        tmp_path / "us_noaa_g2018u0.tif", "w", crs="EPSG:6318", transform=corner, **profile
+    ) as grid:
+        grid.write(np.full((1, 5, 5), height, np.float32))
+        grid.set_band_description(1, "geoid_undulation")
+        grid.update_tags(TYPE="VERTICAL_OFFSET_GEOGRAPHIC_TO_VERTICAL", AREA_OR_POINT="Point")
+    caches = lacks, best_transformer
+    append_data_dir(str(tmp_path))
+    for cache in caches:
+        cache.cache_clear()
+    yield height
+    set_data_dir(folders)
+    for cache in caches:
+        cache.cache_clear()
+
+
+def in_texas(height: float) -> np.ndarray:
+    x, y = Transformer.from_crs("EPSG:6318", "EPSG:6588", always_xy=True).transform(-94.5, 30.3)
+    return np.array([[x, y, height]])
+
+
+@pytest.mark.parametrize("unit", NAMES)
+def test_heights_above_the_ellipsoid_are_transformed_to_those_of_a_geoid(
+    undulation: float, unit: str
+) -> None:
+    survey, place = above_ellipsoid(CRS("EPSG:6588"), US_FOOT), in_texas(100.0)
+    there = Reprojection(survey, "EPSG:6588+6360", unit)
+    there.check(place)
+    made_m = COMMON[NAMES[unit]]
+    assert vertical(there.crs).datum.name == "North American Vertical Datum 1988"
+    ((x, y, z),) = there.places(place) * made_m
+    np.testing.assert_allclose([x, y], place[0, :2] * US_M, atol=2e-4)
+    assert z == pytest.approx(100.0 * US_M - undulation, abs=1e-4)
+
+
+def test_a_geoid_that_proj_lacks_is_named_where_heights_are_above_the_ellipsoid() -> None:
+    survey = above_ellipsoid(CRS("EPSG:6588"), US_FOOT)
+    there = Reprojection(survey, "EPSG:6588+6360")
+    with pytest.raises(WorkflowError, match=r"pyproj sync --file us_noaa_g2018u0\.tif"):
+        there.check(in_texas(100.0))
 
 
 def header_names_ellipsoid(folder: Path, there: Reprojection) -> bool:
