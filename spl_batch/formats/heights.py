@@ -1,4 +1,4 @@
-"""Heights of a file beside those of a survey: in which unit, above what, and what nothing tells.
+"""Heights of a file beside those of a survey: in which unit, above what, and what nothing states.
 
 A horizontal CRS states no unit of heights: these are taken as the survey's where eastings are in
 that unit, and nowhere else. A vertical CRS whose datum has no name states the unit alone: a user
@@ -28,7 +28,7 @@ NAVD88: Final = "EPSG:6360 states US survey feet, EPSG:8228 feet, EPSG:5703 metr
 """Codes of heights above one datum, by which deliveries in feet name the unit."""
 
 SOME_HEIGHTS: Final = CRS.from_wkt('VERT_CS["unknown",VERT_DATUM["unknown",2005],UNIT["metre",1]]')
-"""What a unit of heights alone tells of."""
+"""Vertical CRS that states a unit alone, here the metre."""
 
 
 def with_vertical(crs: CRS | None, text: str, key: str) -> CRS:
@@ -52,13 +52,23 @@ def with_vertical(crs: CRS | None, text: str, key: str) -> CRS:
             f"{crs_name(named)}; leave the key out, or correct the files"
         )
     found = vertical(crs)
-    in_unit = found is None or Units.of(found).vertical_m == Units.of(named).vertical_m
-    if found is not None and not (same_heights(found, named) if names_datum(crs) else in_unit):
+    if found is None:
+        return compound(crs, named)
+    if names_datum(crs):
+        if same_heights(found, named):
+            return crs
         raise WorkflowError(
             f"{key}: the files say {crs_name(found)}, not {crs_name(named)}; leave the key out, or "
             "correct the files"
         )
-    return crs if names_datum(crs) else compound(crs, named)
+    mine, ours = Units.of(found), Units.of(named)
+    if mine.vertical_m != ours.vertical_m:
+        raise WorkflowError(
+            f"{key}: the files' heights are in {in_words(mine.vertical)}, {crs_name(named)} is in "
+            f"{in_words(ours.vertical)}: name one in {in_words(mine.vertical)} ({NAVD88}), or "
+            "correct the files"
+        )
+    return compound(crs, named)
 
 
 def same_heights(a: CRS, b: CRS) -> bool:
@@ -151,7 +161,7 @@ def heights_ratio(found: CRS, survey: CRS) -> float | None:
     """Units of the survey's heights in one of those of a CRS.
 
     Heights without a unit of their own are the survey's where eastings are in that unit, and
-    beside degrees where it is the metre; elsewhere nothing tells, and it is None.
+    beside degrees where it is the metre; elsewhere nothing states it, and it is None.
     """
     mine, ours = Units.of(found).vertical_m, Units.of(survey).vertical_m
     return mine / ours if states_heights(found) or mine == ours else None

@@ -16,6 +16,7 @@ from spl_batch.formats.crs import (
     compound,
     crs_from_wkt,
     crs_problems,
+    in_unit,
     other_crs,
     parse_crs,
     same_crs,
@@ -24,6 +25,7 @@ from spl_batch.formats.crs import (
 )
 from spl_batch.formats.geotiff_keys import GEO_KEYS, crs_from_geotiff
 from spl_batch.formats.heights import (
+    SOME_HEIGHTS,
     completed,
     heights_fault,
     heights_ratio,
@@ -310,6 +312,29 @@ NAMELESS_FT = compound(
 ).to_wkt()
 
 
+@pytest.mark.parametrize("code", [5703, 5773, 6360, 8228])
+@pytest.mark.parametrize(
+    ("unit", "words", "fits", "how"),
+    [
+        ("foot", "feet", 8228, "EPSG:8228 feet"),
+        (US_FOOT, "US survey feet", 6360, "EPSG:6360 states US survey feet"),
+    ],
+)
+def test_a_datum_of_heights_in_feet_is_named_in_feet(
+    unit: str, words: str, fits: int, how: str, code: int
+) -> None:
+    crs = compound(CRS("EPSG:2278"), in_unit(SOME_HEIGHTS, unit))
+    if code == fits:
+        named = vertical(with_vertical(crs, f"EPSG:{code}", "key"))
+        assert named is not None
+        assert named.to_epsg() == fits
+        return
+    with pytest.raises(WorkflowError, match=f"key: the files' heights are in {words}, ") as caught:
+        with_vertical(crs, f"EPSG:{code}", "key")
+    assert f"(EPSG:{code}) is in " in str(caught.value)
+    assert how in str(caught.value)
+
+
 @pytest.mark.parametrize(
     ("found", "stated", "wanted"),
     [
@@ -319,6 +344,7 @@ NAMELESS_FT = compound(
         ("EPSG:2278", "EPSG:32140+5703", "EPSG:2278"),
         (NAMELESS_FT, "EPSG:2278+6360", "EPSG:2278+6360"),
         (NAMELESS_FT, "EPSG:2278+5703", NAMELESS_FT),
+        (NAMELESS_FT, "EPSG:2278+8228", NAMELESS_FT),
     ],
 )
 def test_a_user_states_what_a_file_leaves_open(found: str, stated, wanted: str) -> None:

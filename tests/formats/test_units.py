@@ -218,7 +218,7 @@ def test_heights_of_which_the_unit_alone_is_known_are_above_nothing_that_is_name
     assert Reprojection(stated, TEXAS).crs == CRS(TEXAS)
     assert Units.of(Reprojection(survey, None, "m").crs).are_metres
     assert Units.of(Reprojection(survey, "EPSG:32140").crs).vertical == US_FOOT
-    with pytest.raises(WorkflowError, match="the files say"):
+    with pytest.raises(WorkflowError, match=r"heights are in US survey feet, .* in metres"):
         with_vertical(survey, "EPSG:5703", "survey.vertical_crs")
 
 
@@ -531,6 +531,17 @@ def test_a_crs_that_cannot_be_reached_is_refused(survey, named: str, fault: str)
     corner = np.array([[272_000.0, 3_290_000.0, 20.0]])
     with pytest.raises(WorkflowError, match=fault):
         Reprojection(crs, named).check(corner)
+
+
+def test_rasters_and_tiles_need_a_place_there_as_points_do() -> None:
+    there = Reprojection(CRS("EPSG:6344+5703"), "EPSG:6588+6360")
+    place = np.array([[500_000.0, 3_300_000.0, 20.0]])
+    there.check(place)
+    vars(there)["_flat"] = Transformer.from_crs("EPSG:4326", "EPSG:32615", always_xy=True)
+    assert np.isfinite(there.places(place)).all()
+    assert not np.isfinite(there._flat.transform(*place[0, :2])).any()  # degrees that are none
+    with pytest.raises(WorkflowError, match="a corner of the survey has no place there"):
+        there.check(place)
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from tests import surveys
 
 UTM, NAVD88, EGM96 = "EPSG:32615", "EPSG:32615+5703", "EPSG:32615+5773"
 FEET, FEET_NAVD88, HALF = "EPSG:2278", "EPSG:2278+6360", "EPSG:2278+5703"
+UNKNOWN_FEET = compound(CRS(FEET), in_unit(SOME_HEIGHTS, US_FOOT)).to_wkt()
 
 
 def gathered(folder: Path, files: list[str | None], **survey: str) -> Inputs:
@@ -65,9 +66,6 @@ def test_files_of_another_datum_are_bad_and_those_of_none_are_told(tmp_path: Pat
     (one,) = surveys.found(inputs.warnings, "I08", "vertical")
     assert one.subject == "3.laz"
     assert "NAVD88" in one.values["crs"]
-
-
-UNKNOWN_FEET = compound(CRS(FEET), in_unit(SOME_HEIGHTS, US_FOOT)).to_wkt()
 
 
 @pytest.mark.parametrize(
@@ -161,6 +159,9 @@ def test_most_points_decide_on_the_unit_of_heights(
         (HALF, FEET, None, r"states no unit of heights.* reference\.crs: EPSG:2278"),
         (HALF, FEET, HALF, ""),
         (HALF, FEET, FEET_NAVD88, "heights are in US survey feet .* survey's in metres"),
+        (HALF, UNKNOWN_FEET, HALF, "heights are in US survey feet .* in metres"),
+        (FEET_NAVD88, UNKNOWN_FEET, HALF, "are in US survey feet .*, reference.crs in metres"),
+        (FEET_NAVD88, UNKNOWN_FEET, FEET_NAVD88, ""),
         (FEET, FEET, None, ""),
         (FEET_NAVD88, FEET, None, ""),
         (NAVD88, EGM96, None, "heights are 'EGM96 height'"),
