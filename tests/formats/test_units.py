@@ -406,8 +406,9 @@ def test_a_raster_names_the_datum_of_heights_in_any_unit(
         assert Units.of(found).vertical == NAMES[unit]
 
 
-def test_a_raster_names_no_datum_that_heights_have_not(tmp_path: Path) -> None:
-    heights = in_unit(SOME_HEIGHTS, US_FOOT)
+@pytest.mark.parametrize("name", ["unknown", "World Geodetic System 1984"])
+def test_a_raster_names_no_datum_that_heights_have_not(tmp_path: Path, name: str) -> None:
+    heights = in_unit(CRS(SOME_HEIGHTS.to_wkt().replace("unknown", name)), US_FOOT)
     crs = compound(CRS("EPSG:2278"), heights).to_wkt()
     write_cog(
         tmp_path / "dtm", np.array([[812.5]], np.float32), shape=(1, 1), origin_xy_m=(4.0, 9.0),

@@ -12,8 +12,6 @@ import rasterio
 import rasterio.shutil
 from numpy.typing import NDArray
 from pyproj import CRS
-from pyproj.crs import Datum
-from pyproj.crs.enums import DatumType
 from pyproj.database import get_units_map
 from pyproj.exceptions import ProjError
 from rasterio._err import CPLE_BaseError
@@ -153,12 +151,12 @@ def _datum_code(heights: CRS | None) -> int | None:
     """EPSG's code of the datum of a vertical CRS without a code of its own, if it has one."""
     if heights is None or heights.datum is None or "id" in heights.to_json_dict():
         return None
-    kind = DatumType.VERTICAL_REFERENCE_FRAME
     try:
-        known = Datum.from_name(heights.datum.name, auth_name="EPSG", datum_type=kind)
+        known = heights.datum.from_name(heights.datum.name, auth_name="EPSG")
     except ProjError:
         return None  # unknown, or a name of its own
-    return int(known.to_json_dict()["id"]["code"])
+    kind = "Vertical Reference Frame"  # some are dynamic, and an ellipsoid's name is another's
+    return int(known.to_json_dict()["id"]["code"]) if known.type_name.endswith(kind) else None
 
 
 def _divided(block: NDArray[np.float32], unit_m: float, nodata: float) -> NDArray[np.float32]:
