@@ -314,6 +314,17 @@ def test_what_has_no_effect_is_said(filtering: dict[str, Any], said: list[str]) 
     assert not list(parse_workflow(merged(filter=filtering), "w").remarks())
 
 
+def test_a_clients_tiles_in_another_crs_are_no_effect_of_its_keys() -> None:
+    def remarks(**outputs: Any) -> list[str]:
+        return list(parse_workflow(merged(outputs=outputs), "w").remarks())
+
+    tiles = {"client_tiles": {"polygons": "tiles.gpkg"}}
+    (said,) = remarks(crs="EPSG:6344", cell=3, **tiles)
+    assert "outputs.crs and outputs.cell: without effect on client_tiles" in said
+    assert not remarks(units="us-ft", cell=3, **tiles)
+    assert not remarks(crs="EPSG:6344", cell=3)
+
+
 def _sensor_fault(name: str) -> str:
     with pytest.raises(WorkflowError) as caught:
         parse_workflow(merged(survey={"flightlines": "a", "sensor": name}), "w")
