@@ -83,6 +83,7 @@ class Gathering:
         self.records = 0  #: Records, each time counted once.
         self.span_s = (np.inf, -np.inf)  #: First and last time [s].
         self.warnings: list[str] = []  #: What had to be done to them; each is one sentence.
+        self.notes: list[str] = []  #: What was done to them that loses nothing.
         self._paths, self._disk, self._folder, self._points = paths, disk, folder, points
         self._units = METRES
         self._batches: list[_Batch] = []
@@ -125,7 +126,7 @@ class Gathering:
                 if batch.file in files:
                     time, xyz = self._fetch(batch)
                     self._batches[k] = self._put(batch.file, batch.offset, convert(time), xyz)
-            self.warnings.append(f"trajectory: {given} time converted to {wanted} time")
+            self.notes.append(f"trajectory: {given} time converted to {wanted} time")
 
     def _span(self, files: set[int]) -> tuple[float, float]:
         """First and last time of some files [s]."""
