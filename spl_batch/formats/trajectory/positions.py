@@ -43,7 +43,8 @@ SBET_CRS: Final = "EPSG:4979"
 
 _ROW_GROUP: Final = 65_536
 _RECORD_BYTES: Final = 32
-_FAR_M: Final = 50_000.0
+ELSEWHERE_M: Final = 50_000.0
+"""Farther from all points a trajectory is in another CRS [m]."""
 
 Positions = NDArray[np.float64]
 
@@ -188,7 +189,7 @@ class Gathering:
             self.warnings.append(f"trajectory: {repeating} a time: left out")
         if self._points is None:
             return
-        if self._nearest_m > _FAR_M:
+        if self._nearest_m > ELSEWHERE_M:
             unit = self._units.of_places
             x, y = (self._low + self._high) / 2 / unit[1]
             raise InputError(

@@ -17,6 +17,7 @@ from spl_batch.airborne.plan.inputs.file_positions import (
     boxes_of,
     degrees_as_metres,
     far_positions,
+    in_other_unit,
     inspected,
     saved_again,
     usable,
@@ -61,7 +62,7 @@ from spl_batch.formats.las.convert import copied_format
 from spl_batch.formats.las.copc import copc_fault
 from spl_batch.formats.las.reader import LasFacts
 from spl_batch.formats.named_areas import NamedArea
-from spl_batch.formats.trajectory.records import has_records
+from spl_batch.formats.trajectory.records import SBET_SUFFIXES, first_records
 from spl_batch.formats.units import Units
 from spl_batch.formats.vector_files import check_polygons, shapes_keep_degrees
 
@@ -176,7 +177,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         tuple(warnings),
         tuple(_checksums(workflow, base, crs)),
         checkpoints,
-        _unreadable(trajectory),
+        _unusable(trajectory, workflow, crs, good),
         areas,
     )
 
@@ -245,16 +246,27 @@ def _refuse_no_copc(workflow: Workflow, files: Sequence[LasFacts], base: Path) -
         raise WorkflowError("outputs.copc: " + "; ".join(faults))
 
 
-def _unreadable(trajectory: Sequence[Path]) -> tuple[InputError, ...]:
-    """Why files of a trajectory are none, by their first records; not all of them."""
+def _unusable(
+    trajectory: Sequence[Path], workflow: Workflow, crs: CRS | None, files: Sequence[LasFacts]
+) -> tuple[InputError, ...]:
+    """Why files of a trajectory are none, by their first records; not all of them.
+
+    Those that are in another unit than the survey's count where no other is left.
+    """
     faults: list[InputError] = []
+    elsewhere: list[InputError] = []
+    named_crs = crs is None or workflow.survey.trajectory_crs is not None
     for path in trajectory:
         try:
-            has_records(path)
+            first = first_records(path)
         except InputError as fault:
             faults.append(fault)
-    if faults and len(faults) == len(trajectory):
-        raise WorkflowError(f"survey.trajectory: {'; '.join(told_together(faults))}")
+            continue
+        unnamed = not named_crs and path.suffix.lower() not in SBET_SUFFIXES
+        if first and files and unnamed and (text := in_other_unit(first, crs, boxes_of(files))):
+            elsewhere.append(InputError(str(path), text))
+    if trajectory and len(faults) + len(elsewhere) == len(trajectory):
+        raise WorkflowError(f"survey.trajectory: {'; '.join(told_together([*faults, *elsewhere]))}")
     return tuple(faults)
 
 
