@@ -159,8 +159,8 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     placed = [(name_below(facts.path, base), facts) for facts in good]
     warnings += [*degrees_as_metres(placed), *far_positions(placed), *saved_again(placed)]
     warnings += _kept_degrees(workflow, base, crs)
-    checkpoints, told = looked_into(checkpoints, crs, workflow.reference, good)
-    warnings += told
+    checkpoints, remarks = looked_into(checkpoints, crs, workflow.reference, good)
+    warnings += remarks
     warnings += crs_findings(crs, placed, stated=workflow.survey.crs is not None)
     names = _delivered_names([f.path for f in good], base)
     sources = tuple(
@@ -200,7 +200,7 @@ def _shapes(workflow: Workflow) -> dict[str, str]:
 def _check_shapes(
     workflow: Workflow, base: Path, crs: CRS | None, files: Sequence[LasFacts]
 ) -> list[Finding]:
-    """Read every polygon and breakline once: whatever is wrong is told here, of all files.
+    """Read every polygon and breakline once: whatever is wrong is reported here, of all files.
 
     An area of interest beyond the points would mark all of them as outside and is a fault; water
     there has no effect, and is a warning.
@@ -236,12 +236,12 @@ def _refuse_no_copc(workflow: Workflow, files: Sequence[LasFacts], base: Path) -
     """Refuse octrees where they are asked for and a cloud can be none."""
     if not workflow.outputs.copc:
         return
-    said = (
+    unfit = (
         (name_below(facts.path, base), fault)
         for facts in files
         if (fault := copc_fault(copied_format(facts.point_format), facts.scales)) is not None
     )
-    faults = list(shared(said))
+    faults = list(shared(unfit))
     if faults:
         raise WorkflowError("outputs.copc: " + "; ".join(faults))
 
