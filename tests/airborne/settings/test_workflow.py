@@ -251,6 +251,7 @@ def test_sensors_by_name_and_by_mapping() -> None:
     assert "known are" in _sensor_fault("spl99")
     with pytest.raises(WorkflowError, match="spl100"):
         load_preset("nothing")
+    assert load_preset("SPL100") == load_preset("spl100")
 
 
 def test_a_linear_mode_scanner_is_no_reason_to_filter_photons() -> None:
