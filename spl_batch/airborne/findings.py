@@ -105,8 +105,8 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             "No CRS",
             {
                 "none": "no input file carries a CRS and survey.crs is not set: coordinates and "
-                "heights are taken as metres; where they are in feet, write `crs: EPSG:...+6360` "
-                "under survey, of which both parts are in US survey feet (+8228: feet)",
+                "heights are taken as metres; where they are feet, name a CRS in feet with heights "
+                "in feet, survey.crs: EPSG:...+6360",
                 "local": "the CRS that files name, {crs}, does not say where on earth it is",
                 "others": "no CRS in the file; its coordinates are taken as {crs}, in {unit}, as "
                 "of others",
