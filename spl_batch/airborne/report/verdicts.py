@@ -114,10 +114,10 @@ def screen_summary(report: Report) -> list[tuple[str, str]]:
         ("points", f"{number(counts.points_in)} in, {number(counts.points_out)} out{not_read}"),
         *((label, _with_share(count, counts.points_in)) for label, count in classes),
     ]
-    if counts.in_no_client_tile is not None:
-        rows.append(("client tiles", _client_tiles(report.client_tiles, counts.in_no_client_tile)))
     if counts.not_assessed:
         rows.append(("not assessed", _with_share(counts.not_assessed, counts.points_in)))
+    if counts.in_no_client_tile is not None:
+        rows.append(("client tiles", _client_tiles(report.client_tiles, counts.in_no_client_tile)))
     if unfiltered := mostly_unfiltered(counts, report.noise.method):
         rows.append(("attention", unfiltered))
     if report.density.mean_per_m2 is not None:
@@ -145,7 +145,7 @@ def _client_tiles(tiles: Sequence[ClientTile], outside: int) -> str:
     text = number(len(tiles))
     if empty:
         text += f", {number(len(empty))} of them without points ({named(empty)})"
-    return f"{text}; {number(outside)} points lie in none" if outside else text
+    return f"{text}; {f'{number(outside)} points lie' if outside else 'no point lies'} in none"
 
 
 def _accuracy_verdict(report: Report) -> Verdict:
