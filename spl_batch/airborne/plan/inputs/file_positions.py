@@ -78,10 +78,11 @@ def in_other_unit(first: Records, crs: CRS | None, survey: NDArray[Any]) -> str:
     and near in another unit, all do.
     """
     _, position = first
+    flown = np.concatenate([position[:, :2].min(axis=0), position[:, :2].max(axis=0)])
+    whole = shapely.box(*shapely.total_bounds(survey))
 
     def away_m(unit_m: float) -> float:
-        places = shapely.multipoints(position[:, :2] * unit_m)
-        return float(shapely.distance(places, survey).min())
+        return float(shapely.distance(shapely.box(*flown * unit_m), whole))
 
     units = Units.of(crs)
     near = [unit for unit, unit_m in COMMON.items() if away_m(unit_m) <= ELSEWHERE_M]

@@ -256,6 +256,7 @@ def _unusable(
     faults: list[InputError] = []
     elsewhere: list[InputError] = []
     named_crs = crs is None or workflow.survey.trajectory_crs is not None
+    survey = boxes_of(files) if files else None
     for path in trajectory:
         try:
             first = first_records(path)
@@ -263,7 +264,9 @@ def _unusable(
             faults.append(fault)
             continue
         unnamed = not named_crs and path.suffix.lower() not in SBET_SUFFIXES
-        if first and files and unnamed and (text := in_other_unit(first, crs, boxes_of(files))):
+        if first is None or survey is None or not unnamed:
+            continue
+        if text := in_other_unit(first, crs, survey):
             elsewhere.append(InputError(str(path), text))
     if trajectory and len(faults) + len(elsewhere) == len(trajectory):
         raise WorkflowError(f"survey.trajectory: {'; '.join(told_together([*faults, *elsewhere]))}")
