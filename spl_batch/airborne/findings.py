@@ -67,8 +67,12 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
         ),
         "I07": Code(
             "Channels without returns",
-            "{dead} of {beamlets} channels have no returns; gaps in the numbers of the others, "
-            "from {first} to {last}: {gaps}",
+            {
+                "gaps": "{dead} of {beamlets} channels have no returns; gaps in the numbers of the "
+                "others, from {first} to {last}: {gaps}",
+                "whole": "{dead} of {beamlets} channels have no returns; the numbers of the "
+                "others, from {first} to {last}, have no gaps",
+            },
             "they are taken into account",
             "tell who maintains the instrument if it had more before",
             "flightline",
@@ -89,17 +93,20 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "its points within {points}",
                 "scale": "{crs} draws lengths {lengths:.3f} and areas {areas:.3f} times as large "
                 "as they are: distances, densities and volumes are off by that",
-                "geoid": "{count:cells|lie} beyond the grid {grid}: void",
+                "geoid": "{count:cells|lie} beyond the grid {grid}: void; name one that reaches "
+                "there",
                 "grid": "{key}: {what}",
             },
-            remedy="check the CRS, the order of its axes and the coordinates; where a grid is "
-            "named, fetch it, or one that reaches there",
+            remedy="check the CRS, the order of its axes and the coordinates, and fetch a grid "
+            "that is lacking",
             noun="file",
         ),
         "I08": Code(
             "No CRS",
             {
-                "none": "no input file carries a CRS and survey.crs is not set",
+                "none": "no input file carries a CRS and survey.crs is not set: coordinates and "
+                "heights are taken as metres; where they are feet, name a CRS in feet with heights "
+                "in feet, survey.crs: EPSG:...+6360",
                 "local": "the CRS that files name, {crs}, does not say where on earth it is",
                 "others": "no CRS in the file; its coordinates are taken as {crs}, in {unit}, as "
                 "of others",
@@ -256,7 +263,7 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
         "S01": Code(
             "Flightlines differ in height or place",
             "{pairs} of {of} pairs of flightlines differ by more than single ranges scatter: at "
-            "worst {second} lies {offset:height} than {first} ({patches} planar patches)",
+            "worst {second} lies {offset_m:height} than {first} ({patches} planar patches)",
             "surfaces that both have seen appear twice, and the terrain follows the lower one",
             "{remedy}",
         ),

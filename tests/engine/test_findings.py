@@ -37,6 +37,9 @@ def test_other_kinds_and_wordings_stay_apart() -> None:
     found = [lost(3, "a"), Finding("N01", {"kind": "full"}, "a")]
     found += [Finding("I06", {"what": text}) for text in ("this", "that", "this")]
     assert len(reported(found)) == 4
+    grid = {"kind": "grid", "what": "accurate to 6 m"}
+    twice = [Finding("I05", {**grid, "key": key}, "county.gpkg") for key in ("aoi", "water")]
+    assert [one.values["key"] for one in reported(twice)] == ["aoi", "water"]
 
 
 def test_a_code_can_be_silenced_and_an_unknown_one_is_refused() -> None:

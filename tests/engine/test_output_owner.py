@@ -94,6 +94,14 @@ def test_what_a_run_does_not_make_is_deleted_if_it_is_as_written(
     assert mine.exists()
 
 
+def test_folders_that_hold_nothing_any_more_are_removed(survey: Path, tmp_path: Path) -> None:
+    run, deliveries = begun(survey)
+    run.ledger.done.pop("deliver_file")
+    assert list(deliveries.withdraw(failed=False))
+    assert not (tmp_path / "out/laz").exists()
+    assert (tmp_path / "out/dtm.tif").exists()
+
+
 def test_a_record_that_is_gone_is_made_of_receipts(survey: Path, tmp_path: Path) -> None:
     run, deliveries = begun(survey)
     (tmp_path / "out/delivered.json").write_text("{}")

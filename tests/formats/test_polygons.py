@@ -97,6 +97,14 @@ def test_realisations_of_a_datum_keep_their_degrees_without_a_grid(
     assert all("pyproj sync --file us_noaa" in text for text in told)
 
 
+def test_points_beside_polygons_are_not_asked_for_their_degrees(tmp_path: Path) -> None:
+    survey, path = CRS.from_epsg(6344), tmp_path / "a.gpkg"
+    write(path, [shapely.box(400_000, 3_300_000, 400_100, 3_300_100)], "EPSG:6344", layer="areas")
+    write(path, [shapely.Point(-94, 30)], "EPSG:4269", kind="Point", layer="marks", append=True)
+    assert kept_degrees(CRS.from_epsg(4269), survey)
+    assert shapes_keep_degrees(path, survey) == []
+
+
 @pytest.mark.parametrize(
     ("own", "survey"), [(4267, 6344), (4301, 6677), (4313, 3812), (4314, 25832), (27700, 25830)]
 )

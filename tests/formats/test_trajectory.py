@@ -61,6 +61,7 @@ class Loaded(NamedTuple):
     trajectory: Trajectory
     standard: str
     warnings: list[str]
+    notes: list[str]
 
 
 def read(*paths: Path, crs: str | None = None, survey: CRS | None = UTM, **given: Any) -> Loaded:
@@ -68,7 +69,7 @@ def read(*paths: Path, crs: str | None = None, survey: CRS | None = UTM, **given
     with gathering(paths, survey_crs=survey, trajectory_crs=crs, **given) as found:
         times, positions = zip(*found, strict=True)
     whole = Trajectory(np.concatenate(times), np.concatenate(positions))
-    return Loaded(whole, found.standard, found.warnings)
+    return Loaded(whole, found.standard, found.warnings, found.notes)
 
 
 def test_csv_parquet_and_sbet_agree(tmp_path: Path) -> None:
@@ -180,7 +181,8 @@ def test_loaded_into_the_points_time(tmp_path: Path) -> None:
     loaded = load(path, (week + 1000.5, week + 1001.5))
     np.testing.assert_allclose(loaded.trajectory.time_s, flight()[:, 0] + week, atol=1e-6)
     assert loaded.standard == "adjusted"
-    assert loaded.warnings == ["trajectory: week time converted to adjusted time"]
+    assert loaded.notes == ["trajectory: week time converted to adjusted time"]
+    assert loaded.warnings == []
     short = load(path, (900.0, 1001.0), bounds_m=(500_000, 3_999_000, 0, 501_000, 4_001_000, 9))
     assert "covers 1000.000 to 1004.900 s" in short.warnings[0]
 

@@ -19,7 +19,7 @@ from spl_batch.airborne.compare.contrast import (
 from spl_batch.airborne.filter.denoise import METHODS as FILTERS
 from spl_batch.airborne.filter.published import OF_SHOTS
 from spl_batch.airborne.ground.ground_methods import METHODS as GROUND
-from spl_batch.airborne.report.model import Report
+from spl_batch.airborne.report.model import DeliveredUnits, Report
 from spl_batch.airborne.report.plots import draw_methods
 from spl_batch.airborne.report.profile_strips import read_strip, tallest_strip
 from spl_batch.airborne.report.verdicts import noise_removed, photon_counting
@@ -28,7 +28,6 @@ from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.report import style
 from spl_batch.engine.report.number_format import (
     as_ascii,
-    centimetres,
     percent,
     share,
     significant,
@@ -73,6 +72,7 @@ class ComparisonReport(Compared):
     """What a comparison writes down."""
 
     survey: str = Field(description="Name of the survey.")
+    units: DeliveredUnits = DeliveredUnits()
     photons: bool = Field(description="Whether the survey is single-photon lidar.")
     far_m: float = Field(description="Far begins at this height difference, at most [m].")
     far_m3: Number = Field(None, description="Volume of the gate that is far [m3].")
@@ -144,7 +144,8 @@ def _until(names: Collection[str]) -> str:
     return "denoise" if all(name in GROUND for name in names) else "shuffle"
 
 
-def _row(method: MethodResult) -> tuple[str, ...]:
+def _row(report: ComparisonReport, method: MethodResult) -> tuple[str, ...]:
+    height = report.units.height
     values = (
         *(
             percent(part / method.points if method.points else None)
@@ -152,9 +153,9 @@ def _row(method: MethodResult) -> tuple[str, ...]:
         ),
         share(method.far_share),
         percent(method.ground / method.points if method.points else None),
-        centimetres(method.dtm_rmse_m),
-        centimetres(method.dsm_median_m),
-        centimetres(method.dsm_nmad_m),
+        height(method.dtm_rmse_m),
+        height(method.dsm_median_m),
+        height(method.dsm_nmad_m),
         significant(method.s_per_million),
     )
     return (method.name, *map(as_ascii, values))
@@ -173,6 +174,7 @@ def _write(output: Path, reports: Mapping[str, Report]) -> ComparisonReport:
     results = tuple(_result(*named, found, k) for k, named in enumerate(reports.items()))
     report = ComparisonReport(
         survey=first.survey.name,
+        units=first.survey.units,
         version=first.provenance.version,
         far_m=FAR_M,
         photons=photon_counting(first),

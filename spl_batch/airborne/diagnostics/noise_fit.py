@@ -110,7 +110,7 @@ def _worst_band(layers: Sequence[Sequence[float]], ratio: float, share: float) -
         "low_m": float(band[run[0]]) * edge,
         "high_m": float(band[run[-1]] + 1) * edge,
     }
-    return Finding("N02", values, badness=abs(here - model) / total)
+    return Finding("N02", values, badness=abs(here - model) / max(total, 1e-3))
 
 
 def haze(done: Receipts) -> Finding | None:

@@ -114,10 +114,12 @@ def denoise(
     linear = _linear_mode(look, sensor)
     if linear and not kept:
         raise WorkflowError(_as_linear_mode(Path(source), cloud, linear))
-    guessed, content = _proposal(look, trajectory, sensor, ground=ground, kept=kept)
+    guesses, content = _proposal(look, trajectory, sensor, ground=ground, kept=kept)
     if kept and (linear or not look.timed):
         content["afterpulse"] = {"enabled": False}
-        guessed.append("guessed: every point stays: no afterpulses are looked for either")
+        guesses["afterpulse"] = "every point stays: no afterpulses are looked for either"
+    stated = {override.partition("=")[0].strip() for override in overrides}
+    guessed = [f"guessed: {text}" for key, text in guesses.items() if key not in stated]
     new = [place for place in {path.parent for path, _ in results} if not place.exists()]
     for place in new:
         if not place.parent.exists():
@@ -254,8 +256,8 @@ def _proposal(
     *,
     ground: bool,
     kept: bool,
-) -> tuple[list[str], dict[str, Any]]:
-    """What is guessed, a sentence for each, and the workflow that follows.
+) -> tuple[dict[str, str], dict[str, Any]]:
+    """What is guessed, a sentence for each key of a workflow, and the workflow that follows.
 
     ``kept``: whether no point is to be filtered, so that no shots are needed.
     """
@@ -285,17 +287,18 @@ def _proposal(
             raise WorkflowError(f"--trajectory {trajectory}: no such file; check the path")
         survey["trajectory"] = str(real_path(trajectory))
     outputs = {"classes": "all" if ground else "noise", "catalogue": False}
-    guessed = [
-        f"guessed: beamlet numbers: {f'{channel.value} ' if channel.value else ''}{channel.reason}",
-        f"guessed: CRS: {crs_guess([look]).reason}",
-    ]
+    dimension = f"{channel.value} " if channel.value else ""
+    guesses = {
+        "survey.channel_dimension": f"beamlet numbers: {dimension}{channel.reason}",
+        "survey.crs": f"CRS: {crs_guess([look]).reason}",
+    }
     if sensor is None:
-        guessed.append(f"guessed: sensor: {instrument}; --sensor names another one")
+        guesses["survey.sensor"] = f"sensor: {instrument}; --sensor names another one"
     if trajectory is None:
-        guessed.append(
-            "guessed: beams: from where lines of sight meet, or vertical; --trajectory gives them"
+        guesses["survey.trajectory"] = (
+            "beams: from where lines of sight meet, or vertical; --trajectory gives them"
         )
-    return guessed, {"survey": survey, "outputs": outputs, "output": "out"}
+    return guesses, {"survey": survey, "outputs": outputs, "output": "out"}
 
 
 def _moves(

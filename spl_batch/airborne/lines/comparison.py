@@ -201,7 +201,7 @@ def offset_warnings(pairs: Sequence[StripPair], align: str = "none") -> Iterator
         "first": pair.first,
         "second": pair.second,
         "patches": pair.patches,
-        "offset": list(_parts(pair)),
+        "offset_m": list(_parts(pair)),
         "up_m": pair.up_m,
         "noise_m": pair.noise_m,
         "remedy": _remedy(pair, align),

@@ -41,7 +41,8 @@ def active_channels(
     first, last = int(numbers[0]), int(numbers[-1])
     gaps = np.setdiff1d(np.arange(first, last), numbers).tolist()
     values = {
-        "dead": dead, "beamlets": beamlets, "first": first, "last": last, "gaps": gaps or "none",
+        "kind": "gaps" if gaps else "whole",
+        "dead": dead, "beamlets": beamlets, "first": first, "last": last, "gaps": gaps,
     }  # fmt: skip
     return beamlets, gain, (Finding("I07", values, badness=dead),)
 

@@ -34,10 +34,10 @@ GATE_MIN_M: Final = 60.0
 """Least length of a gate that is not stated: a shorter one is a scene without noise [m]."""
 
 GATE_ASSUMED_M: Final = 300.0
-"""Gate where neither the workflow nor the points tell one [m]."""
+"""Gate where neither the workflow states nor the points show one [m]."""
 
 LONE_GAPS: Final = (3, 8)
-"""Gaps between the extremes that follow which tell their spacing, at least and at most [count]."""
+"""Gaps between the extremes that follow which show their spacing, at least and at most [count]."""
 
 Kind = Literal["range", "height"]
 Basis = Literal["stated", "estimated", "assumed"]
@@ -145,8 +145,8 @@ def _edges(
         low, high = low - shortfall, high + shortfall
         low[~supported] = np.median(low[supported])
         high[~supported] = np.median(high[supported])
-    told = (high - low)[supported] if supported.any() else extent
-    slant = float(np.median(told)) / named[1]
+    length = (high - low)[supported] if supported.any() else extent
+    slant = float(np.median(length)) / named[1]
     return _Edges(*named, low, high, slant, supported=bool(supported.any()))
 
 
@@ -209,7 +209,7 @@ def _differ(length_m: float, stated_m: float) -> bool:
 
 
 def _of_length(edges: _Edges, gate_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Edges of a gate of this length, longer where returns alone tell of edges."""
+    """Edges of a gate of this length, longer where returns alone show edges."""
     middle = 0.5 * (edges.low + edges.high)
     extent = edges.high - edges.low
     half = np.maximum(0.5 * gate_m * edges.scale, 0.0 if edges.supported else 0.5 * extent)

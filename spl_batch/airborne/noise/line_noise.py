@@ -83,7 +83,7 @@ def fit(
     cell, of_cell = ground(merged, interval, expected, (region.buffer, nearer), sides)
     by_channel = sides.astype(np.int64) @ merged["by_channel"][:, region.buffer]
     seen = np.where(present, merged["beamlets"][rows], 0)
-    # Where channels are not told apart, each return counts as a beamlet.
+    # Where channels are not distinguished, each return counts as a beamlet.
     looks = seen if beamlets > 1 else np.where(present, merged["returns"][rows], 0)
     return LineModel(
         interval=interval,
@@ -263,7 +263,7 @@ def _smooth(
     half: int,
 ) -> NDArray[np.float64]:
     """Rate of each interval [1/m], shrunk towards that of its wider neighbourhood."""
-    if exposure.sum() <= 1.0:  # a metre in all tells nothing
+    if exposure.sum() <= 1.0:  # a metre in all shows nothing
         return np.zeros(len(interval))
     total = (counted.sum() + 0.5) / exposure.sum()
     wide_n, wide_e = (_moving(interval, v, half) for v in (counted, exposure))

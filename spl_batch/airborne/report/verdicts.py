@@ -1,9 +1,9 @@
 """The few numbers and sentences that a reader wants first, for the console and the page."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from spl_batch.airborne.report.model import Counts, Report
+from spl_batch.airborne.report.model import ClientTile, Counts, Report
 from spl_batch.engine.report.number_format import (
     as_ascii,
     number,
@@ -14,6 +14,7 @@ from spl_batch.engine.report.number_format import (
 )
 from spl_batch.engine.report.parts import Statistics
 from spl_batch.engine.report.verdict import Tone, Verdict, ending_rows, failure_verdict
+from spl_batch.errors import named
 
 USGS_LIMITS: Final = ((0.05, "QL0"), (0.10, "QL1 and QL2"), (0.20, "QL3"))
 """Largest vertical RMSE of each quality level, non-vegetated [m]; USGS Lidar Base
@@ -115,6 +116,8 @@ def screen_summary(report: Report) -> list[tuple[str, str]]:
     ]
     if counts.not_assessed:
         rows.append(("not assessed", _with_share(counts.not_assessed, counts.points_in)))
+    if counts.in_no_client_tile is not None:
+        rows.append(("client tiles", _client_tiles(report.client_tiles, counts.in_no_client_tile)))
     if unfiltered := mostly_unfiltered(counts, report.noise.method):
         rows.append(("attention", unfiltered))
     if report.density.mean_per_m2 is not None:
@@ -134,6 +137,15 @@ def screen_summary(report: Report) -> list[tuple[str, str]]:
     return [(label, as_ascii(value)) for label, value in rows] + ending_rows(
         work, report.failures, report.findings
     )
+
+
+def _client_tiles(tiles: Sequence[ClientTile], outside: int) -> str:
+    """How many a client has, which are empty, and how many points lie in none."""
+    empty = [tile.name for tile in tiles if not tile.points]
+    text = number(len(tiles))
+    if empty:
+        text += f", {number(len(empty))} of them without points ({named(empty)})"
+    return f"{text}; {f'{number(outside)} points lie' if outside else 'no point lies'} in none"
 
 
 def _accuracy_verdict(report: Report) -> Verdict:

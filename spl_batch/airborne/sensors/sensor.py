@@ -107,7 +107,7 @@ def preset_names() -> list[str]:
 def load_preset(name: str) -> Sensor:
     """Sensor by preset name.
 
-    ``name``: one of :func:`preset_names`.
+    ``name``: one of :func:`preset_names`, in any case.
 
     Raises
     ------
@@ -115,11 +115,11 @@ def load_preset(name: str) -> Sensor:
         If there is no such preset.
     """
     known = preset_names()
-    if name not in known:
+    if name.lower() not in known:
         raise WorkflowError(f"survey.sensor: no preset {name!r}; known are {', '.join(known)}")
     text = (
         resources.files("spl_batch.airborne.sensors")
-        .joinpath(f"{name}.yaml")
+        .joinpath(f"{name.lower()}.yaml")
         .read_text(encoding="utf-8")
     )
     return Sensor.model_validate(yaml.safe_load(text))

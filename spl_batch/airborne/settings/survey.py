@@ -1,5 +1,6 @@
 """What was flown, how it is cut into work, and what is written."""
 
+from collections.abc import Iterator
 from typing import Final, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
@@ -211,3 +212,13 @@ class OutputSettings(StoreSettings):
         True,
         description="STAC catalogue, virtual point cloud, index.gpkg.",
     )
+
+    def remarks(self) -> Iterator[str]:
+        """What has no effect beside other settings."""
+        if self.client_tiles is None or self.crs is None:
+            return
+        asked = [f"outputs.{key}" for key in ("crs", "units", "cell") if getattr(self, key)]
+        yield (
+            f"{' and '.join(asked)}: without effect on client_tiles, which are in the survey's "
+            "CRS, as their polygons are, with raster cells of products.cell_m"
+        )

@@ -121,6 +121,7 @@ class Workflow(BaseWorkflow):
             )
         if "outside" in self.outputs.drop and self.aoi is None:
             yield "outputs.drop: outside is without effect, as no aoi is named"
+        yield from self.outputs.remarks()
         if self.outputs.diagnostics and method != "vsaes":
             yield f"outputs.diagnostics: p_value is NaN everywhere, as {chosen} knows none"
 

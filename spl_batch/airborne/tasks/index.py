@@ -262,7 +262,10 @@ def gather_trajectory(args: Mapping[str, Any], context: Context) -> Produced:
     facts = {
         "name": named([Path(p).name for p in args["paths"]], 3),
         "positions": hashes.found(),
-        "findings": [Finding("T02", {"kind": "file", "what": text}) for text in found.warnings],
+        "findings": [
+            *(Finding("T02", {"kind": "file", "what": text}) for text in found.warnings),
+            *(Finding("E01", {"kind": "memory", "what": text}) for text in found.notes),
+        ],
         "inputs": [{"path": p, "hash": checksum(Path(p))} for p in args["paths"]],
     }
     return Produced([path], facts)

@@ -215,7 +215,8 @@ def _result(output: Path, method: str, report: TrackReport, found: Contrast) -> 
     )
 
 
-def _row(method: TrackMethod) -> tuple[str, ...]:
+def _row(report: Compared, method: TrackMethod) -> tuple[str, ...]:
+    del report
     values = (
         number(method.signal),
         percent(method.signal / method.photons if method.photons else None),

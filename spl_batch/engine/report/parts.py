@@ -158,7 +158,7 @@ class FindingReport(Part):
     place: tuple[Number, Number, Number, Number] | None = Field(
         None, description="West, south, east, north of the worst place [m]."
     )
-    values: Parameters = Field({}, description="Numbers of the sentence, by name.")
+    values: Parameters = Field({}, description="Numbers and names of the sentence, by name.")
     sentence: str = Field(description="What is so.")
     consequence: str = Field("", description="What that means.")
     remedy: str = Field("", description="What to do.")

@@ -21,8 +21,8 @@ def reported(
 ) -> tuple[FindingReport, ...]:
     """Findings of a report, alike ones as one.
 
-    Those of the same code, kind and wording are alike; values, place and sentence are those of the
-    worst.
+    Those of the same code, kind, key of the workflow and wording are alike; values, place and
+    sentence are those of the worst.
 
     Parameters
     ----------
@@ -33,10 +33,10 @@ def reported(
     units : Units
         What sentences give places and heights in.
     """
-    alike: dict[tuple[str, object, object], list[Finding]] = {}
+    alike: dict[tuple[object, ...], list[Finding]] = {}
     for one in settled(findings, ignored):
         if notes or table()[one.code].severity != "note":
-            key = one.code, one.values.get("kind"), one.values.get("what")
+            key = one.code, *map(one.values.get, ("kind", "key", "what"))
             alike.setdefault(key, []).append(one)
     return tuple(_as_one(some, units) for some in alike.values())
 

@@ -51,7 +51,7 @@ class Methods:
     #: Of the output folder and reports by method: writes ``compare.html`` and ``compare.json`` and
     #: returns what they say, with ``methods``.
     write: Callable[[Path, Mapping[str, Any]], Any]
-    row: Callable[[Any], tuple[str, ...]]  #: Of one of these: what the console shows of it.
+    row: Callable[[Any, Any], tuple[str, ...]]  #: Of that and a method: what the console shows.
     titles: tuple[str, ...]  #: Heads of the console's columns.
 
 
@@ -124,7 +124,7 @@ def compare(
         if not reports:
             raise WorkflowError(f"{output}: no method has finished; nothing can be compared")
         report = found.write(output, reports)
-    rows = tuple(found.row(method) for method in report.methods)
+    rows = tuple(found.row(report, method) for method in report.methods)
     return ComparisonResult(status, output, report, found.titles, rows)
 
 

@@ -114,9 +114,18 @@ class Deliveries:
             yield f"deleted, as earlier runs made it and this one does not: {named(gone, LISTED)}"
             for name in gone:
                 (self.output / name).unlink(missing_ok=True)
+                _remove_emptied(self.output, name)
         stays = current.union(self.spared)
         self.files = {name: stamp for name, stamp in self.files.items() if name in stays}
         self.save()
+
+
+def _remove_emptied(output: Path, name: str) -> None:
+    """Remove the folders of a deleted file that hold nothing any more."""
+    for folder in map(output.joinpath, Path(name).parents):
+        if folder == output or not folder.is_dir() or any(folder.iterdir()):
+            return
+        folder.rmdir()
 
 
 def usable(prepared: Prepared[Any, Any], *, stopped: bool | None = None) -> Deliveries:

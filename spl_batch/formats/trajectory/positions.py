@@ -43,7 +43,8 @@ SBET_CRS: Final = "EPSG:4979"
 
 _ROW_GROUP: Final = 65_536
 _RECORD_BYTES: Final = 32
-_FAR_M: Final = 50_000.0
+ELSEWHERE_M: Final = 50_000.0
+"""Farther from all points a trajectory is in another CRS [m]."""
 
 Positions = NDArray[np.float64]
 
@@ -83,6 +84,7 @@ class Gathering:
         self.records = 0  #: Records, each time counted once.
         self.span_s = (np.inf, -np.inf)  #: First and last time [s].
         self.warnings: list[str] = []  #: What had to be done to them; each is one sentence.
+        self.notes: list[str] = []  #: What was done to them that loses nothing.
         self._paths, self._disk, self._folder, self._points = paths, disk, folder, points
         self._units = METRES
         self._batches: list[_Batch] = []
@@ -125,7 +127,7 @@ class Gathering:
                 if batch.file in files:
                     time, xyz = self._fetch(batch)
                     self._batches[k] = self._put(batch.file, batch.offset, convert(time), xyz)
-            self.warnings.append(f"trajectory: {given} time converted to {wanted} time")
+            self.notes.append(f"trajectory: {given} time converted to {wanted} time")
 
     def _span(self, files: set[int]) -> tuple[float, float]:
         """First and last time of some files [s]."""
@@ -187,7 +189,7 @@ class Gathering:
             self.warnings.append(f"trajectory: {repeating} a time: left out")
         if self._points is None:
             return
-        if self._nearest_m > _FAR_M:
+        if self._nearest_m > ELSEWHERE_M:
             unit = self._units.of_places
             x, y = (self._low + self._high) / 2 / unit[1]
             raise InputError(

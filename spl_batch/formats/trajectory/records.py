@@ -97,8 +97,13 @@ def read_records(
 
 def has_records(path: Path) -> bool:
     """Whether a file begins with records that can be; the errors are those of `read_records`."""
+    return first_records(path) is not None
+
+
+def first_records(path: Path) -> Records | None:
+    """The records that a file begins with, some of them; None where it has none."""
     with closing(read_records(path)) as records:
-        return next(records, None) is not None
+        return next(records, None)
 
 
 class _Sieve:

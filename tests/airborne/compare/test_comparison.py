@@ -2,6 +2,7 @@
 
 import json
 import os
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,18 @@ import pytest
 
 from spl_batch import api
 from spl_batch.airborne.compare.comparison import METHODS as METHODS_COMPARED
+from spl_batch.airborne.compare.comparison import ComparisonReport, MethodResult
 from spl_batch.airborne.compare.contrast import Contrast, _far, _fullest_strip
+from spl_batch.airborne.report.model import DeliveredUnits
 from spl_batch.airborne.settings.workflow import parse_workflow
+from spl_batch.constants import US_FOOT_M
+from spl_batch.engine.report.number_format import as_ascii
+from spl_batch.engine.report.page import write_comparison
 from spl_batch.engine.store.working_store import Store, read_receipt, write_receipt
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs.comparing import folder_of, listed, share_finished
 from spl_batch.engine.watch.events import TaskEnded
+from spl_batch.formats.units import Units
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds
 from tests import surveys
@@ -93,6 +100,27 @@ def test_methods_are_listed_once_and_have_folders() -> None:
     found = listed("vsaes:calibrated, voxel ,vsaes,voxel,published")
     assert found == ["vsaes:calibrated", "voxel", "vsaes", "published"]
     assert [folder_of(name) for name in found[:2]] == ["compare/vsaes-calibrated", "compare/voxel"]
+
+
+def test_table_and_page_are_in_the_unit_of_delivery(tmp_path: Path) -> None:
+    counts = dict.fromkeys(("points", "signal", "background", "afterpulse", "ground"), 10)
+    one = MethodResult(
+        name="aes", folder="compare/aes", kept_only=0, removed_only=0, dtm_rmse_m=0.061,
+        dsm_nmad_m=0.122, **counts,
+    )  # fmt: skip
+    units = Units("US survey foot", US_FOOT_M, "US survey foot", US_FOOT_M)
+    report = ComparisonReport(
+        version="1", survey="county", units=DeliveredUnits(**asdict(units)), photons=True,
+        far_m=50.0, methods=(one,),
+    )  # fmt: skip
+    row = dict(zip(METHODS_COMPARED.titles, METHODS_COMPARED.row(report, one), strict=True))
+    assert row["DTM RMSE"] == "0.200 ft (6.1 cm)"
+    assert row["DSM NMAD"] == "0.400 ft (12.2 cm)"
+    write_comparison(tmp_path, report, "compare.html.j2", "spl_batch.airborne.compare", [])
+    page = as_ascii((tmp_path / "compare.html").read_text())
+    assert "<td>0.200 ft (6.1 cm)</td>" in page
+    metric = report.model_copy(update={"units": DeliveredUnits()})
+    assert "6.1 cm" in METHODS_COMPARED.row(metric, one)
 
 
 def test_rules_for_afterpulses_can_be_compared() -> None:

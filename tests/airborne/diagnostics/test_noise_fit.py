@@ -57,6 +57,12 @@ def test_a_block_of_its_own_is_named_with_its_place():
     assert codes(layers=[*sound, few]) == [], "too few to judge a block by"
 
 
+def test_returns_where_no_noise_is_expected_are_found():
+    (one,) = noise_findings(receipts(layers=[[[0, 1000, 0.0]]]))
+    assert (one.code, one.values["ratio"]) == ("N02", 999.0)
+    assert codes(layers=[[[0, 0, 0.0]]]) == []
+
+
 def place(column, row=0, returns=1000, expected=50.0, low=12, high=19):
     return [5 * column, 5 * row, 5 * column + 5, 5 * row + 5, low, high, 25, 200, returns, expected]
 

@@ -174,11 +174,12 @@ def test_linear_mode_lidar_is_refused_unless_the_instrument_is_named(tmp_path: P
     assert done.status == 0
     assert "background noise 0 (0.0 %" in " ".join(done.text.split())
     (tmp_path / "out.laz").unlink()
+    assert "guessed: CRS" in done.text
     for sensor in ("als50-ii", "spl100"):
-        done = denoise(
-            source, tmp_path / "out.laz", "--sensor", sensor, "--set", KEEP_ALL, "--force"
-        )
+        stated = ("--set", KEEP_ALL, "--set", f"survey.crs={surveys.CRS_NAME}")
+        done = denoise(source, tmp_path / "out.laz", "--sensor", sensor, *stated, "--force")
         assert done.status == 0
+        assert "guessed: CRS" not in done.text
     (tmp_path / "out.laz").unlink()
     begun = begin(tmp_path)
     assert begun is not None

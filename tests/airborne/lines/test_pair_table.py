@@ -1,10 +1,13 @@
 """Pairs of flightlines with a known shift, aligned ones, and what is said of them."""
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from spl_batch.airborne import receiver
 from spl_batch.airborne.lines.alignment import AlignedLine
 from spl_batch.airborne.lines.comparison import _Cell, _overlaps, done_sentence, offset_warnings
 from spl_batch.airborne.lines.pair_table import (
@@ -14,6 +17,7 @@ from spl_batch.airborne.lines.pair_table import (
     pair_table,
 )
 from spl_batch.airborne.lines.patches import Patches
+from spl_batch.airborne.steps import STEPS
 from spl_batch.engine.report.reported import reported
 from spl_batch.formats.units import METRES, US_FOOT, Units
 from tests.airborne.lines.two_strips import (
@@ -105,6 +109,8 @@ def test_the_worst_pair_is_named_with_number_and_place() -> None:
     (one,) = offset_warnings([pair(Shift(0.3, -0.2, 0.2))])
     assert (one.code, one.values["second"]) == ("S01", "two")
     assert one.values["up_m"] == pytest.approx(0.2, abs=0.01)
+    assert one.values["offset_m"][0] == (pytest.approx(0.2, abs=0.01), "higher")
+    assert "0.2" in reported([one])[0].sentence
     assert one.place is not None
     assert one.place[0] == pytest.approx(10_040, abs=5)
     many = [replace(pair(Shift(up=0.2)), second=f"s{k}") for k in range(6)]
@@ -113,6 +119,18 @@ def test_the_worst_pair_is_named_with_number_and_place() -> None:
 
 
 FEET = Units(US_FOOT, 1200 / 3937, US_FOOT, 1200 / 3937)
+
+
+def test_a_run_names_shifts_in_the_unit_of_delivery(monkeypatch: pytest.MonkeyPatch) -> None:
+    lines = [AlignedLine("one", 0.0, None, stays="kept"), AlignedLine("two", 0.2, 0.2, stays="")]
+    monkeypatch.setattr(receiver, "shifts_of", lambda _: lines)
+    survey: Any = SimpleNamespace(
+        of=lambda _: {},
+        workflow=SimpleNamespace(survey=SimpleNamespace(align="vertical")),
+    )
+    prepared: Any = SimpleNamespace(ledger=survey, context=SimpleNamespace(shown_units=FEET))
+    (note,) = receiver.RECEIVER.after(STEPS["align"], prepared, [])
+    assert "up to 0.656 ft (20.0 cm) in height" in note.values["what"]
 
 
 @pytest.mark.parametrize(

@@ -177,4 +177,5 @@ def test_files_keep_their_own_clock(tmp_path: Path) -> None:
         times = np.concatenate([time for time, _ in found])
     assert times[0] == pytest.approx(start)
     assert times[-1] == pytest.approx(start + 9.9)
-    assert found.warnings == ["trajectory: week time converted to adjusted time"]
+    assert found.notes == ["trajectory: week time converted to adjusted time"]
+    assert found.warnings == []

@@ -9,6 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from spl_batch import api
+from spl_batch.constants import US_FOOT_M
 from spl_batch.errors import InputError, WorkflowError
 from spl_batch.formats.las.reader import read_ends
 from spl_batch.formats.trajectory.records import SBET_RECORD, has_records
@@ -72,6 +73,16 @@ def test_a_trajectory_of_another_day_is_refused(survey: Path) -> None:
     start = surveys.START_S + DAY_S
     surveys.write_trajectory(survey.parent / "trajectory.csv", start_s=start, stop_s=start + 10)
     assert refused(survey, planned=False).startswith("survey.trajectory: ")
+
+
+def test_a_trajectory_in_metres_beside_points_in_feet_is_refused(survey: Path) -> None:
+    for path in (survey.parent / "lines").glob("*.laz"):
+        surveys.in_feet(path, path, "EPSG:8782", [US_FOOT_M] * 3)
+    text = refused(survey, planned=True)
+    assert text.startswith(f"survey.trajectory: {survey.parent / 'trajectory.csv'}: ")
+    assert "where they are in metres, and not in US survey feet" in text
+    named = [f"survey.trajectory_crs={surveys.CRS_NAME}"]
+    assert api.plan(survey, overrides=named).faults == ()
 
 
 def test_seconds_of_the_week_are_no_other_day(survey: Path) -> None:

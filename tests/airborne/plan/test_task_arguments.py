@@ -5,16 +5,18 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import shapely
+from pyproj import CRS
 
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.plan import space_tasks
+from spl_batch.airborne.plan import client_tasks, space_tasks
 from spl_batch.airborne.plan.inputs.survey_inputs import gather_inputs
 from spl_batch.airborne.products.product_table import (
     NAMES,
     REFLECTANCE,
     products,
 )
-from spl_batch.airborne.settings import NoiseSettings
+from spl_batch.airborne.settings import NoiseSettings, OutputSettings
 from spl_batch.airborne.settings.workflow import load_workflow
 from spl_batch.airborne.steps import STEPS
 from spl_batch.airborne.store import cells
@@ -91,6 +93,40 @@ def test_another_grid_of_the_same_name_makes_heights_above_it_again(tmp_path: Pa
     assert planned() == before
     grid.write_bytes(grid.read_bytes()[:-4] + bytes(4))
     assert all(old != new for old, new in zip(before, planned(), strict=True))
+
+
+@pytest.mark.parametrize(
+    ("outputs", "kinds"),
+    [
+        ({}, ("mosaic", "deliver_geoid")),
+        ({"cell": 3.0}, ("reproject_raster", "deliver_geoid")),
+        ({"units": "us-ft"}, ("reproject_raster",)),  # heights above a geoid stay in metres
+        ({"crs": "EPSG:32614"}, ("mosaic", "deliver_geoid")),
+    ],
+)
+def test_a_clients_tiles_are_cut_out_of_rasters_in_one_unit(
+    monkeypatch: pytest.MonkeyPatch, outputs: dict[str, Any], kinds: tuple[str, ...]
+) -> None:
+    seen: list[tuple[str, ...]] = []
+
+    def delivered_rasters(_: Any, kinds: tuple[str, ...]) -> tuple[list[str], list[Any]]:
+        seen.append(kinds)
+        return [], []
+
+    monkeypatch.setattr(client_tasks, "delivered_rasters", delivered_rasters)
+    monkeypatch.setattr(client_tasks, "aligned", lambda _: ())
+    monkeypatch.setattr(client_tasks, "mosaic_bounds", lambda _: CORE)
+    settings = OutputSettings(client_tiles={"polygons": "a.gpkg"}, **outputs)
+    inputs = SimpleNamespace(
+        crs=CRS("EPSG:32615+5703"), areas=[SimpleNamespace(name="A", shape=shapely.box(0, 0, 9, 9))]
+    )
+    survey: Any = SimpleNamespace(
+        of=lambda _: {}, workflow=SimpleNamespace(outputs=settings), inputs=inputs,
+        tile_q=100_000, counts={}, memory_bytes=0,
+    )  # fmt: skip
+    (task,) = client_tasks.client_tiles(survey)
+    assert seen == [kinds]
+    assert task.args["in_another_unit"] == ("units" in outputs)
 
 
 @pytest.mark.parametrize("kind", ["sights", "observe", "fit_line", "scatter"])

@@ -11,6 +11,7 @@ from spl_batch.airborne.context import reprojection
 from spl_batch.airborne.plan.inputs.survey_inputs import Inputs, gather_inputs
 from spl_batch.airborne.settings import OutputSettings
 from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.engine.report.reported import reported
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.crs import WKT_KEY, compound, horizontal, in_unit, vertical
 from spl_batch.formats.heights import SOME_HEIGHTS, names_datum
@@ -123,6 +124,13 @@ def test_a_file_without_a_crs_beside_others_is_told(tmp_path: Path) -> None:
     assert one.values["unit"] == "US survey feet"
     inputs = gathered(tmp_path, [FEET, FEET, None], crs=FEET)
     assert not surveys.found(inputs.warnings, "I08", "others")
+
+
+def test_without_any_crs_a_remedy_for_feet_is_named(tmp_path: Path) -> None:
+    (one,) = reported(gathered(tmp_path, [None]).warnings)
+    assert (one.code, one.values["kind"]) == ("I08", "none")
+    assert "taken as metres" in one.sentence
+    assert "EPSG:...+6360" in one.sentence
 
 
 def test_a_named_datum_contradicts_no_file(tmp_path: Path) -> None:

@@ -251,6 +251,7 @@ def test_sensors_by_name_and_by_mapping() -> None:
     assert "known are" in _sensor_fault("spl99")
     with pytest.raises(WorkflowError, match="spl100"):
         load_preset("nothing")
+    assert load_preset("SPL100") == load_preset("spl100")
 
 
 def test_a_linear_mode_scanner_is_no_reason_to_filter_photons() -> None:
@@ -312,6 +313,17 @@ def test_what_has_no_effect_is_said(filtering: dict[str, Any], said: list[str]) 
     for words, remark in zip(said, remarks, strict=True):
         assert words in remark
     assert not list(parse_workflow(merged(filter=filtering), "w").remarks())
+
+
+def test_a_clients_tiles_in_another_crs_are_no_effect_of_its_keys() -> None:
+    def remarks(**outputs: Any) -> list[str]:
+        return list(parse_workflow(merged(outputs=outputs), "w").remarks())
+
+    tiles = {"client_tiles": {"polygons": "tiles.gpkg"}}
+    (said,) = remarks(crs="EPSG:6344", cell=3, **tiles)
+    assert "outputs.crs and outputs.cell: without effect on client_tiles" in said
+    assert not remarks(units="us-ft", cell=3, **tiles)
+    assert not remarks(crs="EPSG:6344", cell=3)
 
 
 def _sensor_fault(name: str) -> str:

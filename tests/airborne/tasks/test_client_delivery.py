@@ -21,7 +21,9 @@ from pyproj import CRS
 from scipy.interpolate import RegularGridInterpolator
 
 from spl_batch.airborne.catalogue.catalogues import in_units
+from spl_batch.airborne.report.verdicts import screen_summary
 from spl_batch.airborne.tasks import client_tiles, delivered_points, index
+from spl_batch.errors import grouped
 from spl_batch.formats.las.cut import Piece, write_cut
 from spl_batch.formats.las.header import read_header
 from spl_batch.formats.named_areas import lies_in, read_named_areas
@@ -167,6 +169,9 @@ def test_a_point_lies_in_one_tile_or_in_none(runs: Runs) -> None:
     tiles = {one.name: one.points for one in runs.report.client_tiles}
     assert tiles == {"A": in_a.sum(), "B-2": in_b.sum(), "c": in_c.sum(), "far away": 0}
     assert runs.report.counts.in_no_client_tile == in_none.sum()
+    shown = dict(screen_summary(runs.report))["client tiles"]
+    beside = f"{grouped(in_none.sum())} points lie in none"
+    assert shown == f"4, 1 of them without points (far away); {beside}"
     cut = laspy.read(folder / "A.laz")
     first, second = (cut.points[cut.point_source_id == k] for k in (1, 2))
     assert not np.any(first["grade"])

@@ -8,12 +8,15 @@ from typing import Any, Final
 import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
+from pyproj import CRS
 
 from spl_batch.engine.findings import Finding
 from spl_batch.errors import InputError, grouped, named
 from spl_batch.formats.crs import like_degrees, look_like_degrees
 from spl_batch.formats.las.reader import LasFacts, inspect
-from spl_batch.formats.units import METRES, Units
+from spl_batch.formats.trajectory.positions import ELSEWHERE_M
+from spl_batch.formats.trajectory.records import Records
+from spl_batch.formats.units import COMMON, METRES, Units, in_words
 
 FAR_M: Final = 10_000.0
 """Gap up to which parts belong to a survey however short its files are [m]: groups of flightlines
@@ -66,6 +69,29 @@ ASTRAY: Final = (
     "check its CRS and the order of its axes"
 )
 """Remedy for polygons that :func:`beside` has extents of."""
+
+
+def in_other_unit(first: Records, crs: CRS | None, survey: NDArray[Any]) -> str:
+    """Fault of a trajectory without a CRS that lies by the survey in another unit than its.
+
+    By its ``first`` records: where these lie far from ``survey``, (n,) boxes [m], as they are read,
+    and near in another unit, all do.
+    """
+    _, position = first
+    flown = np.concatenate([position[:, :2].min(axis=0), position[:, :2].max(axis=0)])
+    whole = shapely.box(*shapely.total_bounds(survey))
+
+    def away_m(unit_m: float) -> float:
+        return float(shapely.distance(shapely.box(*flown * unit_m), whole))
+
+    units = Units.of(crs)
+    near = [unit for unit, unit_m in COMMON.items() if away_m(unit_m) <= ELSEWHERE_M]
+    if not near or away_m(units.horizontal_m) <= ELSEWHERE_M:
+        return ""
+    return (
+        f"its first positions lie by the survey where they are in {in_words(near[0])}, and not in "
+        f"{in_words(units.horizontal)} as the survey's: name their CRS in survey.trajectory_crs"
+    )
 
 
 def usable(

@@ -80,8 +80,8 @@ def checked_reference(
 
     good, elsewhere = usable(known, fault)
     if elsewhere and not good:
-        told = (f"reference.points: {text}" for text in told_together([*damaged, *elsewhere]))
-        raise WorkflowError("; ".join(told))
+        faults = (f"reference.points: {text}" for text in told_together([*damaged, *elsewhere]))
+        raise WorkflowError("; ".join(faults))
     in_metres = (facts.in_metres(Units.of(crs)) for facts in good)
     return ReferenceFiles(tuple(in_metres), (*damaged, *elsewhere))
 
@@ -138,11 +138,12 @@ def looked_into(
         return file, []
     try:
         with as_input_fault(file.path):
-            known, told, units = read_named(file.path, crs, settings)
+            known, remarks, units = read_named(file.path, crs, settings)
     except InputError as fault:
         raise WorkflowError(f"reference.checkpoints: {fault}") from None
-    told += _misplaced(known, [(f.mins_m, f.maxs_m) for f in files if f.n_points], Units.of(crs))
-    findings = [Finding("C01", {"kind": "file", "what": text}, file.name) for text in told]
+    boxes = [(f.mins_m, f.maxs_m) for f in files if f.n_points]
+    remarks += _misplaced(known, boxes, Units.of(crs))
+    findings = [Finding("C01", {"kind": "file", "what": text}, file.name) for text in remarks]
     return file._replace(units=units), findings
 
 

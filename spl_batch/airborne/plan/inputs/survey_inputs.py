@@ -17,6 +17,7 @@ from spl_batch.airborne.plan.inputs.file_positions import (
     boxes_of,
     degrees_as_metres,
     far_positions,
+    in_other_unit,
     inspected,
     saved_again,
     usable,
@@ -61,7 +62,7 @@ from spl_batch.formats.las.convert import copied_format
 from spl_batch.formats.las.copc import copc_fault
 from spl_batch.formats.las.reader import LasFacts
 from spl_batch.formats.named_areas import NamedArea
-from spl_batch.formats.trajectory.records import has_records
+from spl_batch.formats.trajectory.records import SBET_SUFFIXES, first_records
 from spl_batch.formats.units import Units
 from spl_batch.formats.vector_files import check_polygons, shapes_keep_degrees
 
@@ -158,8 +159,8 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     placed = [(name_below(facts.path, base), facts) for facts in good]
     warnings += [*degrees_as_metres(placed), *far_positions(placed), *saved_again(placed)]
     warnings += _kept_degrees(workflow, base, crs)
-    checkpoints, told = looked_into(checkpoints, crs, workflow.reference, good)
-    warnings += told
+    checkpoints, remarks = looked_into(checkpoints, crs, workflow.reference, good)
+    warnings += remarks
     warnings += crs_findings(crs, placed, stated=workflow.survey.crs is not None)
     names = _delivered_names([f.path for f in good], base)
     sources = tuple(
@@ -176,7 +177,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         tuple(warnings),
         tuple(_checksums(workflow, base, crs)),
         checkpoints,
-        _unreadable(trajectory),
+        _unusable(trajectory, workflow, crs, good),
         areas,
     )
 
@@ -199,7 +200,7 @@ def _shapes(workflow: Workflow) -> dict[str, str]:
 def _check_shapes(
     workflow: Workflow, base: Path, crs: CRS | None, files: Sequence[LasFacts]
 ) -> list[Finding]:
-    """Read every polygon and breakline once: whatever is wrong is told here, of all files.
+    """Read every polygon and breakline once: whatever is wrong is reported here, of all files.
 
     An area of interest beyond the points would mark all of them as outside and is a fault; water
     there has no effect, and is a warning.
@@ -235,26 +236,40 @@ def _refuse_no_copc(workflow: Workflow, files: Sequence[LasFacts], base: Path) -
     """Refuse octrees where they are asked for and a cloud can be none."""
     if not workflow.outputs.copc:
         return
-    said = (
+    unfit = (
         (name_below(facts.path, base), fault)
         for facts in files
         if (fault := copc_fault(copied_format(facts.point_format), facts.scales)) is not None
     )
-    faults = list(shared(said))
+    faults = list(shared(unfit))
     if faults:
         raise WorkflowError("outputs.copc: " + "; ".join(faults))
 
 
-def _unreadable(trajectory: Sequence[Path]) -> tuple[InputError, ...]:
-    """Why files of a trajectory are none, by their first records; not all of them."""
+def _unusable(
+    trajectory: Sequence[Path], workflow: Workflow, crs: CRS | None, files: Sequence[LasFacts]
+) -> tuple[InputError, ...]:
+    """Why files of a trajectory are none, by their first records; not all of them.
+
+    Those that are in another unit than the survey's count where no other is left.
+    """
     faults: list[InputError] = []
+    elsewhere: list[InputError] = []
+    named_crs = crs is None or workflow.survey.trajectory_crs is not None
+    survey = boxes_of(files) if files else None
     for path in trajectory:
         try:
-            has_records(path)
+            first = first_records(path)
         except InputError as fault:
             faults.append(fault)
-    if faults and len(faults) == len(trajectory):
-        raise WorkflowError(f"survey.trajectory: {'; '.join(told_together(faults))}")
+            continue
+        unnamed = not named_crs and path.suffix.lower() not in SBET_SUFFIXES
+        if first is None or survey is None or not unnamed:
+            continue
+        if text := in_other_unit(first, crs, survey):
+            elsewhere.append(InputError(str(path), text))
+    if trajectory and len(faults) + len(elsewhere) == len(trajectory):
+        raise WorkflowError(f"survey.trajectory: {'; '.join(told_together([*faults, *elsewhere]))}")
     return tuple(faults)
 
 
