@@ -47,6 +47,9 @@ def code(crs: CRS | None) -> int | None:
         ([UTM, UTM], {"vertical_crs": "EPSG:5703"}, 5703),
         ([None, None], {"crs": NAVD88}, 5703),
         ([UTM, None], {"crs": NAVD88}, 5703),
+        ([UTM, NAVD88], {"crs": NAVD88}, 5703),
+        ([UTM, NAVD88], {"vertical_crs": "EPSG:5703"}, 5703),
+        ([UNKNOWN_FEET, FEET_NAVD88], {"vertical_crs": "EPSG:6360"}, 6360),
     ],
 )
 def test_a_survey_has_the_vertical_datum_of_its_files(tmp_path, crs, survey, wanted) -> None:
@@ -100,6 +103,12 @@ def test_files_that_name_a_datum_decide_on_it_for_those_that_do_not(
     if wanted == "NAVD88":
         assert delivered == {True}
         assert code(inputs.crs) == 6360
+
+
+def test_a_survey_crs_of_places_alone_says_nothing_of_heights(tmp_path: Path) -> None:
+    inputs = gathered(tmp_path, [UTM, NAVD88], crs=UTM)
+    (one,) = surveys.found(inputs.warnings, "I08", "vertical")
+    assert one.subject == "0.laz"
 
 
 def test_a_file_of_heights_that_have_a_name_alone_has_a_vote(tmp_path: Path) -> None:

@@ -185,11 +185,11 @@ def with_heights(
 
 
 def crs_findings(
-    crs: CRS | None, files: Sequence[tuple[str, LasFacts]], *, stated: bool
+    crs: CRS | None, settings: SurveySettings, files: Sequence[tuple[str, LasFacts]]
 ) -> list[Finding]:
     """A survey without a CRS or with a local one, and files whose places or heights have none.
 
-    ``files``: with boxes in metres. ``stated``: whether ``survey.crs`` stands for what they lack.
+    ``settings``: their CRS stand for what files lack. ``files``: with boxes in metres.
     """
     if crs is None:
         return [Finding("I08", {"kind": "none"})] if files else []
@@ -197,12 +197,16 @@ def crs_findings(
     values = {"kind": "unit", "unit": in_words(units.vertical), "codes": NAVD88}
     of_heights = [Finding("I08", values)]
     found = of_heights if unstated and not units.are_metres else []
-    if not stated:
+    stated = None if settings.crs is None else parse_crs(settings.crs, "survey.crs")
+    if stated is None:
         others = {"kind": "others", "crs": crs_name(crs), "unit": in_words(units.horizontal)}
         found += [Finding("I08", others, name) for name in _without_crs(files)]
     if horizontal(crs).is_engineering:
         return [*found, Finding("I08", {"kind": "local", "crs": crs_name(crs)})]
-    return [*found, *_areas_off(crs, files), *_without_heights(crs, files)]
+    found += _areas_off(crs, files)
+    if settings.vertical_crs is not None or (stated is not None and states_heights(stated)):
+        return found
+    return [*found, *_without_heights(crs, files)]
 
 
 def _areas_off(crs: CRS, files: Iterable[tuple[str, LasFacts]]) -> Iterator[Finding]:

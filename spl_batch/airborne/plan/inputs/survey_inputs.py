@@ -161,7 +161,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     warnings += _kept_degrees(workflow, base, crs)
     checkpoints, remarks = looked_into(checkpoints, crs, workflow.reference, good)
     warnings += remarks
-    warnings += crs_findings(crs, placed, stated=workflow.survey.crs is not None)
+    warnings += crs_findings(crs, workflow.survey, placed)
     names = _delivered_names([f.path for f in good], base)
     sources = tuple(
         Source(f.path, name_below(f.path, base), name, source_key(name), f)
