@@ -67,6 +67,7 @@ def crs_from_geotiff(directory: bytes, doubles: bytes, text: bytes) -> CRS | Non
     return flat if is_nameless(heights.name) and Units.of(whole).are_metres else whole
 
 
+@lru_cache(maxsize=64)
 def contradicted_unit(directory: bytes) -> str:
     """Sentence on heights of GeoTIFF keys in another unit than their vertical CRS; else empty.
 
