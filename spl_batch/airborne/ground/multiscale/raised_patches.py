@@ -7,7 +7,8 @@ mound it falls on beyond the edge, and a crest is narrow. A flat rock or a spur 
 sides looks the same as a roof.
 
 The nodes of such patches are taken off again, but for those whose walls are too low or too high for
-a house, as in quarries. On a real town 0.9 % of the roofs are ground without this, 0.6 % with it.
+a house, as in quarries. On a real town 1.0 % of the roofs are ground without this, 0.8 % with it
+(``docs/evidence/terrain.md``).
 
 Walls are looked for among the lowest ground of squares, where gaps take that of the nearest one: a
 terrain model that is interpolated across a gap turns walls into ramps.
