@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from spl_batch.airborne.plan.space_tasks import labels_of
+from spl_batch.airborne.plan.space_tasks import points_of
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import UNEVEN, points_within, refusal
 from spl_batch.engine.plan.input_files import source_key
@@ -69,11 +69,13 @@ def accuracy(survey: Survey) -> Iterator[Task]:
             "rasters": rasters,
             "tiles": [str(tile) for tile in tiles],
         }
-        needs = [*(("reference", name) for name in files[square])]
-        needs += [("mosaic", name) for name in rasters]
-        needs += labels_of(survey, tiles, "denoise")
+        needs = (
+            *(("reference", name) for name in files[square]),
+            *(("mosaic", name) for name in rasters),
+            *points_of(survey, tiles, "denoise"),
+        )
         refused = refusal("accuracy", points[square], survey.memory_bytes)
-        yield Task("accuracy", square, args, tuple(needs), points[square], refused)
+        yield Task("accuracy", square, args, needs, points[square], refused)
 
 
 def _tiles_of(survey: Survey, square: str, edge: int) -> list[CellId]:

@@ -1,6 +1,6 @@
 """What a run knows about its survey: inputs, limits, and what is finished so far."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -17,7 +17,7 @@ from spl_batch.airborne.tasks.index import part_name
 from spl_batch.engine.tasks.ledger import Ledger
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.lattice.density import from_counts
-from spl_batch.lattice.tiles import Bounds, CellId, quanta
+from spl_batch.lattice.tiles import Bounds, CellId, quanta, whole_cells
 
 
 def _most_timed(indexed: tuple[str, Receipt]) -> tuple[int, str]:
@@ -84,6 +84,15 @@ class Survey(Ledger[Inputs, Workflow]):
         }
 
     @cached_property
+    def positions(self) -> Mapping[str, str]:
+        """Hashes of the trajectory by span: a night that is added leaves those of others alone.
+
+        Complete once the index is.
+        """
+        receipt = self.of("trajectory").get("all")
+        return receipt.facts["positions"] if receipt else {}
+
+    @cached_property
     def counts(self) -> dict[CellId, int]:
         """Points by tile; complete once the shuffle is."""
         return tile_counts(self.of("build_tile"))
@@ -94,10 +103,6 @@ class Survey(Ledger[Inputs, Workflow]):
         pieces = list(from_counts(self.counts, self.tile_q))
         limits = self.memory_bytes, self.workers
         return denoise_grid(pieces, self._extents, self.workflow, *limits).grid
-
-    def denoise_cells(self) -> Iterator[Unit]:
-        """Cells of ``denoise``; complete once the shuffle is."""
-        return self.denoise_grid.units(self.counts, self.tile_q, self.halo_q)
 
     def ground_cells(self, margin_q: int) -> Iterator[Unit]:
         """Ground cells with a margin [quanta]; complete once the shuffle is."""
@@ -112,17 +117,24 @@ class Survey(Ledger[Inputs, Workflow]):
     def _extents(self) -> list[Bounds]:
         """Bounding boxes of the files' points; complete once the index is [quanta]."""
         return [Bounds(west, south, east + 1, north + 1)
-                for west, south, _, east, north, _ in _boxes(self)]  # fmt: skip
+                for west, south, _, east, north, _ in self._boxes]  # fmt: skip
+
+    @property
+    def bounds(self) -> list[int]:
+        """Box around all points: x, y, z, x, y, z; complete once the index is [quanta]."""
+        ends = [*zip(*self._boxes, strict=True)]
+        return [*map(min, ends[:3]), *map(max, ends[3:])]
+
+    @property
+    def _boxes(self) -> list[Sequence[int]]:
+        """The same of the points of each file that holds some."""
+        indexed = self.of("index_file").values()
+        return [r.facts["bounds"] for r in indexed if r.facts["bounds"]]
 
     @property
     def tile_q(self) -> int:
         """Edge of a tile [quanta]."""
         return quanta(self.workflow.tiling.tile_m)
-
-    @property
-    def cell_q(self) -> int:
-        """Edge of a ground cell [quanta]."""
-        return quanta(self.workflow.ground.cell_m)
 
     @property
     def halo_q(self) -> int:
@@ -144,16 +156,6 @@ def timeless_sources(survey: Survey) -> list[Source]:
 
 def mosaic_bounds(survey: Survey) -> Bounds:
     """Whole raster cells around the points of the survey."""
+    west, south, _, east, north, _ = survey.bounds
     pixel = quanta(survey.workflow.products.cell_m)
-    west, south, _, east, north, _ = zip(*_boxes(survey), strict=True)
-    return Bounds(
-        min(west) // pixel * pixel,
-        min(south) // pixel * pixel,
-        (max(east) // pixel + 1) * pixel,
-        (max(north) // pixel + 1) * pixel,
-    )
-
-
-def _boxes(survey: Survey) -> list[Sequence[int]]:
-    """Bounding boxes of the points of the files that hold some: x, y, z, x, y, z [quanta]."""
-    return [r.facts["bounds"] for r in survey.of("index_file").values() if r.facts["bounds"]]
+    return whole_cells(Bounds(west, south, east + 1, north + 1), pixel)

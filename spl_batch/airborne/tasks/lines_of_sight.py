@@ -10,7 +10,8 @@ from typing import Any, Final
 import numpy as np
 
 from spl_batch.airborne import shots
-from spl_batch.airborne.beams import geometry, sensor_path
+from spl_batch.airborne.beams import geometry
+from spl_batch.airborne.beams import sensor_path as paths
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.tasks.stretches import read_stretch
 from spl_batch.engine.store.working_store import Store
@@ -54,16 +55,16 @@ def beamlets(args: Mapping[str, Any], context: Context) -> shots.Beamlets:
     return shots.Beamlets(sensor, args["beamlets"], unnumbered and args["basis"] in POSITIONED)
 
 
-def find_path(args: Mapping[str, Any], context: Context) -> Produced:
+def sensor_path(args: Mapping[str, Any], context: Context) -> Produced:
     """Path of the sensor over a flightline, from the lines of sight of its stretches.
 
     Where they do not meet, the flight direction: scan angles lean to its starboard.
     """
     parts = [read_arrays(context.store.path("sights", f"{s}.npz")) for s in args["stretches"]]
     first, last = args["span_s"]
-    found = sensor_path.find_path(sensor_path.merge(parts), (first, last))
+    found = paths.find_path(paths.merge(parts), (first, last))
     if found.trajectory is None:
-        heading = _heading(args, context)
+        heading = geometry.heading_from_track(geometry.merge_track(parts))
         facts = {"basis": "vertical" if heading is None else "scan_angle", "heading_rad": heading}
         return Produced((), facts, args["points"])
     path = context.store.path("paths", f"{args['line']}.parquet")
@@ -71,26 +72,17 @@ def find_path(args: Mapping[str, Any], context: Context) -> Produced:
     return Produced([path], {"basis": "intersection", "heading_rad": None}, args["points"])
 
 
-def _heading(args: Mapping[str, Any], context: Context) -> float | None:
-    """Flight direction of a flightline, from the drift of its points; None if that is not known."""
-    parts, (first, last) = [], args["span_s"]
-    for source in args["sources"]:
-        arrays = read_arrays(context.store.path("index", f"{source}.npz"))
-        prefix = f"{args['psid']}/"
-        track = {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
-        within = (track["second"] >= first // 1) & (track["second"] <= last // 1)
-        parts.append({k: v if k == "angle" else v[within] for k, v in track.items()})
-    return geometry.heading_from_track(geometry.merge_track(parts))
+def sights(args: Mapping[str, Any], context: Context) -> Produced:
+    """Leave the best lines of sight of a stretch, whose beams are not known yet.
 
-
-def collect(args: Mapping[str, Any], context: Context) -> Produced:
-    """Leave the best lines of sight of a stretch, whose beams are not known yet."""
-    table, _ = read_stretch(args, context, ())
+    And how its points drift: where these lines do not meet, the flight direction follows from that.
+    """
+    table, _ = read_stretch(args, context, ("scan_angle",))
     if not len(table):
         return Produced((), {"points": 0})
-    lines = sensor_path.collect(table, args["beamlets"], context.workflow.noise.interval_shots)
+    lines = paths.collect(table, args["beamlets"], context.workflow.noise.interval_shots)
     path = context.store.path("sights", f"{args['stretch']}.npz")
-    write_arrays(path, lines)
+    write_arrays(path, lines | geometry.observe_track(table))
     return Produced([path], {"points": len(table)}, len(table))
 
 
@@ -100,9 +92,9 @@ def _other_unit(
     """Heights of the sensor by the trajectory and by lines of sight, where units differ [m]."""
     some = table.take(slice(0, SIGHT_RETURNS))
     interval = context.workflow.noise.interval_shots
-    lines = sensor_path.Lines(**sensor_path.collect(some, args["beamlets"], interval))
+    lines = paths.Lines(**paths.collect(some, args["beamlets"], interval))
     row = np.searchsorted(some["gps_time"], lines.time_s)
-    return sensor_path.other_unit(lines, known.origin_m[row])
+    return paths.other_unit(lines, known.origin_m[row])
 
 
 def _leap(table: PointTable, store: Store) -> int | None:

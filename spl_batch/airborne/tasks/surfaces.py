@@ -157,11 +157,6 @@ def _mask_outside(arrays: Rasters, aoi: str, core: Bounds, context: Context) -> 
         arrays[name] = np.where(outside, np.float32(NODATA), values)
 
 
-def _classes_reach_q(asked: ClassSettings) -> int:
-    """What is looked at around a cell [quanta]."""
-    return quanta(REACH_M if asked.building else 0.0)
-
-
 def _classes_columns(workflow: Workflow) -> tuple[str, ...]:
     """Columns of points that are looked at."""
     wires = ("wire",) if workflow.filter.wires.classify else ()
@@ -175,9 +170,8 @@ def _classes(cell: Cell, arrays: Rasters, swaths: Swaths) -> tuple[Path, dict[st
     flagged. Gives the file of labels, facts for the report, and how many points were labelled.
     """
     workflow, dtm = cell.context.workflow, arrays["dtm"]
-    table, origin = cell.read(
-        grow(cell.core, _classes_reach_q(workflow.classes)), _classes_columns(workflow)
-    )
+    near = grow(cell.core, quanta(REACH_M if workflow.classes.building else 0.0))
+    table, origin = cell.read(near, _classes_columns(workflow))
     owned = inside(table["x"], table["y"], cell.core)
     roofs = None
     if workflow.classes.building:

@@ -101,11 +101,8 @@ def scatter(args: Mapping[str, Any], context: Context) -> Produced:
         line = np.full(len(table), args["number"], np.uint16)
     outputs: list[Path] = []
     facts: dict[str, Any] = {"tiles": {}}
-    zeros = np.zeros(len(table), np.float32)
-    table = table.with_columns(
-        line_density=zeros, afterpulse=zeros, afterpulse_rate=zeros, afterpulse_share=zeros,
-        range_sigma=zeros, line=line,
-    )  # fmt: skip
+    unknown = dict.fromkeys(shots.COLUMNS_ADDED, np.zeros(len(table), np.float32))
+    table = table.with_columns(**unknown, line=line)
     if len(table) and not args["timeless"]:
         table, parts = _assess(table, args, context, facts)
         outputs.extend(parts)
