@@ -49,7 +49,7 @@ def main() -> int:
     return 0
 
 
-def written(one: types.Type) -> Any:
+def written(one: Any) -> Any:
     """Type of an argument as :func:`~spl_batch.airborne.precompile.parse` takes it."""
     if isinstance(one, types.Array):
         return ["array" if one.mutable else "readonly", str(one.dtype), one.ndim, one.layout]

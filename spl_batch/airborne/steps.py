@@ -38,9 +38,8 @@ def _step(stage: str, run: str, tasks: str, name: str, **options: Any) -> Step:
     ``run``: module of the first, with the function where it has another name; ``tasks``: of the
     second, below ``plan``.
     """
-    run = run if ":" in run else f"{run}:{name}"
-    places = {"run": f"{_HOME}.{run}", "tasks": f"{_HOME}.plan.{tasks}:{name}"}
-    return Step(name=name, stage=stage, **places, **options)
+    place = f"{_HOME}.{run}" if ":" in run else f"{_HOME}.{run}:{name}"
+    return Step(name=name, stage=stage, run=place, tasks=f"{_HOME}.plan.{tasks}:{name}", **options)
 
 
 _SHUFFLED: Final = ("build_tile", "align")

@@ -53,7 +53,7 @@ _NOTHING: Final[Counted] = {
     "low": np.full(3, np.iinfo(np.int64).max),
     "high": np.full(3, np.iinfo(np.int64).min),
     "boxes": np.empty((0, 4), np.int64),
-    **dict.fromkeys(("channels", "lines"), np.empty(0, np.int64)),
+    "channels": np.empty(0, np.int64),
 }
 """What is counted of no points."""
 
@@ -78,10 +78,9 @@ def observe(table: PointTable, gap_s: float) -> Counted:
     -------
     dict of str to ndarray
         ``counts`` (7,), ``low, high`` (3,) and ``boxes`` (1, 4), west, south, east, north [quanta];
-        ``channels`` and ``lines``, the beamlet numbers and point source ids that are there; of each
-        of these ids ``ID/spans`` (k, 3), first and last time [s] and points; ``ID/steps`` and
-        ``ID/rate`` (2, m), bins of :func:`.shot_steps` and of :data:`BINS_PER_S` that hold some,
-        and how many.
+        ``channels``, the beamlet numbers that are there; of each point source id ``ID/spans``
+        (k, 3), first and last time [s] and points; ``ID/steps`` and ``ID/rate`` (m, 2), bins of
+        :func:`.shot_steps` and of :data:`BINS_PER_S` that hold some, and how many.
     """
     valid, excluded = usable_times(table["gps_time"]), table.has(EXCLUDED)
     timed = table.select(("gps_time", "point_source_id")).take(rows_of(valid & ~excluded))
@@ -93,22 +92,20 @@ def observe(table: PointTable, gap_s: float) -> Counted:
     )
     counts = [len(table), *(int(np.count_nonzero(some)) for some in held), len(timed) - len(kept)]
     low, high = ([int(end(table[name])) for name in "xyz"] for end in (np.min, np.max))
-    lines = np.flatnonzero(np.bincount(kept["point_source_id"]))
     found = {
         "counts": np.array(counts),
         "low": np.array(low),
         "high": np.array(high),
         "boxes": np.array([[*low[:2], *high[:2]]]),
         "channels": np.flatnonzero(np.bincount(table["channel"])),
-        "lines": lines,
     }
-    for psid in lines.tolist():
+    for psid in np.flatnonzero(np.bincount(kept["point_source_id"])).tolist():
         time = ordered_times(kept["gps_time"][rows_of(kept["point_source_id"] == psid)])
         pieces = np.split(time, np.flatnonzero(np.diff(time) > gap_s) + 1)
         steps = shot_steps(time)
         some = np.flatnonzero(steps)  # all bins of all flightlines could fill the memory
         found[f"{psid}/spans"] = np.array([[one[0], one[-1], len(one)] for one in pieces])
-        found[f"{psid}/steps"] = np.array([some, steps[some]])
+        found[f"{psid}/steps"] = np.stack([some, steps[some]], axis=1)
         found[f"{psid}/rate"] = rate_of(time)
     return found
 
@@ -129,32 +126,27 @@ def _without_lone(table: PointTable, gap_s: float) -> PointTable:
 
 
 def rate_of(time_s: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Bins of finite times [s] that hold points, in order, and how many [count]: (2, m)."""
+    """Bins of finite times [s] that hold points, in order, and how many [count]: (m, 2)."""
     # Times that are none may be anything; they are far from all others, wherever that is.
     bins = np.clip(np.floor(time_s * BINS_PER_S), -_FAR_BINS, _FAR_BINS).astype(np.int64)
-    return np.array(np.unique(bins, return_counts=True))
+    return np.stack(np.unique(bins, return_counts=True), axis=1)
 
 
 def sum_of_bins(parts: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
-    """Bins that hold some in any of some counts, in order, and how many [count]: (2, m)."""
-    bins, counts = np.concatenate(parts, axis=1)
+    """Bins that hold some in any of some parts, in order, and how many [count]: (m, 2)."""
+    bins, counts = np.concatenate(parts).T
     different, which = np.unique(bins, return_inverse=True)
-    return np.array([different, np.bincount(which, counts, len(different)).astype(np.int64)])
-
-
-def _all_there(parts: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
-    return np.unique(np.concatenate(parts))
+    total = np.bincount(which, counts, len(different)).astype(np.int64)
+    return np.stack([different, total], axis=1)
 
 
 _ADD_UP: Final[Mapping[str, Callable[[Sequence[NDArray[Any]]], NDArray[Any]]]] = {
     **dict.fromkeys(("counts", "returns"), partial(np.sum, axis=0)),
-    **dict.fromkeys(("boxes", "spans"), np.concatenate),
-    **dict.fromkeys(("channels", "lines"), _all_there),
     **dict.fromkeys(("steps", "rate"), sum_of_bins),
     "low": partial(np.min, axis=0),
     "high": partial(np.max, axis=0),
 }
-"""How parts of an array are put together, by the end of its name."""
+"""How parts of an array are put together, by the end of its name; others follow each other."""
 
 
 def merge(parts: Iterable[Counted]) -> Counted:
@@ -166,7 +158,15 @@ def merge(parts: Iterable[Counted]) -> Counted:
     for part in parts:
         for name, values in part.items():
             held.setdefault(name, []).append(values)
-    return {name: _ADD_UP[name.rpartition("/")[2]](values) for name, values in held.items()}
+    return {
+        name: _ADD_UP.get(name.rpartition("/")[2], np.concatenate)(values)
+        for name, values in held.items()
+    }
+
+
+def _lines(counted: Counted) -> list[int]:
+    """Point source ids of the points that were counted."""
+    return sorted(int(k.partition("/")[0]) for k in counted if k.endswith("/spans"))
 
 
 def _time_spans(counted: Counted, gap_s: float, few: int) -> _Spans:
@@ -174,7 +174,7 @@ def _time_spans(counted: Counted, gap_s: float, few: int) -> _Spans:
 
     ``few``: spans with next to no points that are kept [count].
     """
-    merged = {k: merge_spans(counted[f"{k}/spans"], gap_s) for k in counted["lines"].tolist()}
+    merged = {k: merge_spans(counted[f"{k}/spans"], gap_s) for k in _lines(counted)}
     spans = np.array([span for listed in merged.values() for span in listed]).reshape(-1, 3)
     found = _Spans({}, [], [])
     if not len(spans):
@@ -199,7 +199,7 @@ def facts_of(counted: Counted, gap_s: float) -> dict[str, Any]:
     near, astray, scattered = _time_spans(counted, gap_s, few)
     lone = counts["lone"] + sum(int(points) for *_, points in scattered)
     far = sum(int(points) for *_, points in astray)
-    lines = counted["lines"].tolist()
+    lines, channels = _lines(counted), np.unique(counted["channels"])
     ends = [*counted["low"].tolist(), *counted["high"].tolist()]
     return {
         **counts,
@@ -207,7 +207,7 @@ def facts_of(counted: Counted, gap_s: float) -> dict[str, Any]:
         "astray_s": [first for first, *_ in astray[:1]],
         "lone": lone,
         "bounds": ends if counts["points"] else None,
-        "channels_seen": f"{sum(1 << channel for channel in counted['channels'].tolist()):x}",
+        "channels_seen": f"{sum(1 << channel for channel in channels.tolist()):x}",
         "standard": time_standard(np.array([span[:2] for some in near.values() for span in some])),
         "spans": {str(psid): spans for psid, spans in near.items()},
         "fullest": {str(k): fullest(counted[f"{k}/rate"]) for k in lines},
@@ -218,13 +218,13 @@ def facts_of(counted: Counted, gap_s: float) -> dict[str, Any]:
 def _all_bins(steps: NDArray[np.int64]) -> NDArray[np.int64]:
     """Histogram of steps, of its bins that hold some and their counts."""
     found = np.zeros(STEP_BINS, np.int64)
-    found[steps[0]] = steps[1]
+    found[steps[:, 0]] = steps[:, 1]
     return found
 
 
 def spans_of(counted: Counted) -> dict[str, list[float]]:
     """First and last time of each flightline in what was counted [s]."""
-    spans = {psid: counted[f"{psid}/spans"] for psid in counted["lines"].tolist()}
+    spans = {psid: counted[f"{psid}/spans"] for psid in _lines(counted)}
     return {str(k): [float(v[:, 0].min()), float(v[:, 1].max())] for k, v in spans.items()}
 
 
@@ -269,9 +269,9 @@ def chained(spans: Iterable[S], gap_s: float) -> list[list[S]]:
 def fullest(rate: NDArray[np.int64]) -> list[int]:
     """Most points within 1, 2, 4, ... bins wherever they begin, up to all points [count].
 
-    ``rate``: (2, m), from :func:`rate_of` or added up.
+    ``rate``: (m, 2), from :func:`rate_of`, or added up.
     """
-    bins, counts = rate
+    bins, counts = rate.T
     before = np.concatenate([[0], np.cumsum(counts)])
     found: list[int] = []
     while not found or found[-1] < before[-1]:

@@ -102,8 +102,12 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
             raise InputError(str(path), [*dict.fromkeys(faults)])
         digest = checksum(path)
         header = inspect(path)
-        parts = [read_arrays(_kept(args, context, part)) for part in range(args["parts"])]
-        counted = merge(parts)
+        counted, spans = merge([]), []
+        for part in range(args["parts"]):
+            arrays = read_arrays(_kept(args, context, part))
+            # One by one: where times are in no order, each part has bins of all of them.
+            counted = merge([counted, arrays])
+            spans.append(spans_of(arrays))
     index = context.store.path("index", f"{args['source']}.npz")
     write_arrays(index, {k: v for k, v in counted.items() if k.startswith((BOXES, "extent/"))})
     known = facts_of(counted, context.workflow.survey.gap_s)
@@ -114,7 +118,7 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
         "hash": digest,
         "size": args["stamp"][0],
         **known,
-        "parts": list(map(spans_of, parts)),
+        "parts": spans,
         "numbers": _numbers(path, context),
         # What the header alone tells, the plan has said.
         "findings": [*(Finding("I01", values) for values in times), *_without_time(known)],

@@ -7,7 +7,7 @@ import pytest
 
 from spl_batch.airborne.plan.flightlines import find_flightlines, is_timeless
 from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.airborne.tasks.file_tally import SPANS_FEW, facts_of, merge, observe
+from spl_batch.airborne.tasks.file_tally import SPANS_FEW, facts_of, merge, observe, spans_of
 from spl_batch.airborne.tasks.index import _without_time
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.formats.las.reader import iter_points
@@ -94,7 +94,7 @@ def test_scattered_times_are_not_kept(points: PointTable, among: int) -> None:
     counted = observe(table, GAP_S)
     facts = facts_of(counted, GAP_S)
     assert facts["timeless"] == 1500
-    assert len(facts["spans"]) == len(counted["lines"]) == bool(among)
+    assert len(facts["spans"]) == len(spans_of(counted)) == bool(among)
     assert sum(array.nbytes for array in counted.values()) < 100_000
 
 
