@@ -49,12 +49,13 @@ def main() -> int:
     return 0
 
 
-def written(one: Any) -> Any:
+def written(one: types.Type) -> Any:
     """Type of an argument as :func:`~spl_batch.airborne.precompile.parse` takes it."""
     if isinstance(one, types.Array):
         return ["array" if one.mutable else "readonly", str(one.dtype), one.ndim, one.layout]
     if isinstance(one, types.BaseTuple):
-        return [getattr(one, "instance_class", tuple).__name__, *map(written, one.types)]
+        members = one.types  # type: ignore[attr-defined]
+        return [getattr(one, "instance_class", tuple).__name__, *map(written, members)]
     return str(one)
 
 

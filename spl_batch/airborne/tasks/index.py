@@ -112,7 +112,9 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
     write_arrays(index, {k: v for k, v in counted.items() if k.startswith((BOXES, "extent/"))})
     known = facts_of(counted, context.workflow.survey.gap_s)
     clock = contradicted_bit(known["standard"], adjusted_bit=header.adjusted_standard_bit)
-    times = [] if clock is None else [{"kind": "times", "stated": clock[0], "found": clock[1]}]
+    findings = []
+    if clock is not None:
+        findings.append(Finding("I01", {"kind": "times", "stated": clock[0], "found": clock[1]}))
     facts = {
         "name": args["name"],
         "hash": digest,
@@ -121,7 +123,7 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
         "parts": spans,
         "numbers": _numbers(path, context),
         # What the header alone tells, the plan has said.
-        "findings": [*(Finding("I01", values) for values in times), *_without_time(known)],
+        "findings": [*findings, *_without_time(known)],
     }
     inputs = {str(path): args["stamp"]}
     return Produced([index], facts, known["points"], inputs)

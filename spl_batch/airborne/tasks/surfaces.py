@@ -54,7 +54,7 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     """Raster cells and final classes of a ground cell."""
     workflow, cell = context.workflow, Cell.of(args, context)
     core = cell.core
-    cell = cell.holding(*_at_once(cell))
+    cell = cell.holding(grow(core, args["halo"]), _columns(cell))
     reflected = {} if args["fired"] is None else _reflectance(cell)
     give_back()
     arrays = _surfaces(cell)
@@ -76,17 +76,14 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     return Produced([labels, *chunks], {"core": list(core), **counted}, n_points)
 
 
-def _at_once(cell: Cell) -> tuple[Bounds, list[str]]:
-    """Region and columns of all looks at a cell."""
-    workflow, far = cell.context.workflow, cell.args["halo"]
-    columns = [*surfacing.COLUMNS_NEEDED, "afterpulse", *pulses.COLUMNS]
-    columns += _classes_columns(workflow)
-    if cell.args["fired"] is None:
-        columns += surfacing.COLUMNS_OF_INTENSITY
-    else:
-        far = max(far, quanta(reflectance.reach_m(workflow.products)))
-        columns += reflectance.COLUMNS_NEEDED
-    return grow(cell.core, far), columns
+def _columns(cell: Cell) -> list[str]:
+    """Columns of all looks at a cell."""
+    unseen = cell.args["fired"] is None
+    return [
+        *(*surfacing.COLUMNS_NEEDED, "afterpulse", *pulses.COLUMNS),
+        *_classes_columns(cell.context.workflow),
+        *(surfacing.COLUMNS_OF_INTENSITY if unseen else reflectance.COLUMNS_NEEDED),
+    ]
 
 
 def _reflectance(cell: Cell) -> Rasters:

@@ -71,7 +71,10 @@ def read_shapes(
         if apart and key in {"aoi", TILES_KEY}:
             faults.append(f"{key}: {path}: {ASTRAY.format(**apart)}")
         elif apart:
-            warnings.append(Finding("I05", {"kind": "shapes", "key": key, **apart}, name))
+            values = {
+                "kind": "shapes", "key": key, "shapes": apart["shapes"], "points": apart["points"]
+            }  # fmt: skip
+            warnings.append(Finding("I05", values, name))
     if faults:
         raise WorkflowError("; ".join(faults))
     return areas, warnings
