@@ -2,10 +2,8 @@
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spl_batch.airborne.lines.patches import SQUARE_M
 from spl_batch.airborne.noise.local_noise import MARGIN_VOXELS
@@ -19,53 +17,29 @@ from spl_batch.engine.tasks.task import Need, Task
 from spl_batch.lattice.tiles import Bounds, BoxIndex, CellId, grow, parse_cell, quanta
 
 
-class _Pieces(NamedTuple):
-    """Which rows of which stretch are points of which tile: p pieces."""
-
-    stretches: list[str]  #: Names of the stretches, sorted.
-    tiles: list[CellId]  #: The tiles, in the order in which they were met.
-    #: (p,): places in those lists, first row in the stretch's file, and points [count].
-    tile: NDArray[np.int32]
-    stretch: NDArray[np.int32]
-    first: NDArray[np.int32]
-    points: NDArray[np.int32]
-
-
 def build_tile(survey: Survey) -> Iterator[Task]:
     """Tiles that hold points, each from the stretches that have some of them."""
-    pieces = _pieces(survey)
-    order = np.argsort(pieces.tile, kind="stable")  # stretches stay in the order of names
-    starts = np.searchsorted(pieces.tile[order], np.arange(len(pieces.tiles) + 1))
-    for k in sorted(range(len(pieces.tiles)), key=pieces.tiles.__getitem__):
-        mine, name = order[starts[k] : starts[k + 1]], str(pieces.tiles[k])
-        stretches = [pieces.stretches[s] for s in pieces.stretch[mine].tolist()]
-        rows = pieces.first[mine].tolist(), pieces.points[mine].tolist()
-        listed = list(zip(stretches, *rows, strict=True))
-        points = int(pieces.points[mine].sum(dtype=np.int64))
-        yield Task(
-            "build_tile",
-            name,
-            {"tile": name, "pieces": listed, "by_line": survey.filtering},
-            tuple(("scatter", stretch) for stretch in stretches),
-            points,
-            refusal("build_tile", points, survey.memory_bytes),
-        )
-
-
-def _pieces(survey: Survey) -> _Pieces:
     scattered = survey.of("scatter")
-    stretches = sorted(scattered)
-    known: dict[str, int] = {}
-    rows = []
+    stretches, known = sorted(scattered), dict[str, int]()
+    # Millions of pieces are numbers: tile, stretch, first row in the stretch's file, and points.
+    found = [np.empty((0, 4), np.int32)]
     for number, stretch in enumerate(stretches):
-        tiles = scattered[stretch].facts["tiles"]
-        of_stretch = np.empty((4, len(tiles)), np.int32)
-        of_stretch[0] = [known.setdefault(tile, len(known)) for tile in tiles]
-        of_stretch[1] = number
-        of_stretch[2:] = np.array(list(tiles.values()), np.int32).reshape(-1, 2).T
-        rows.append(of_stretch)
-    columns = np.concatenate(rows, axis=1) if rows else np.empty((4, 0), np.int32)
-    return _Pieces(stretches, [parse_cell(tile) for tile in known], *columns)
+        tiles = scattered[stretch].facts["tiles"].items()
+        rows = [[known.setdefault(tile, len(known)), number, *held] for tile, held in tiles]
+        found.append(np.array(rows, np.int32).reshape(-1, 4))
+    pieces = np.concatenate(found)
+    pieces = pieces[np.argsort(pieces[:, 0], kind="stable")]  # stretches stay in the order of names
+    starts = np.searchsorted(pieces[:, 0], np.arange(len(known) + 1))
+    for tile in sorted(map(parse_cell, known)):
+        name = str(tile)
+        k = known[name]
+        mine = pieces[starts[k] : starts[k + 1], 1:].tolist()
+        listed = [(stretches[number], first, count) for number, first, count in mine]
+        needs = tuple(("scatter", stretch) for stretch, *_ in listed)
+        points = sum(count for *_, count in listed)
+        args = {"tile": name, "pieces": listed, "by_line": survey.filtering}
+        refused = refusal("build_tile", points, survey.memory_bytes)
+        yield Task("build_tile", name, args, needs, points, refused)
 
 
 def denoise(survey: Survey) -> Iterator[Task]:

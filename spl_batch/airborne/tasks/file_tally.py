@@ -14,6 +14,7 @@ from spl_batch.airborne.beams.geometry import (
     ordered_times,
     shot_steps,
 )
+from spl_batch.airborne.beams.shot_runs import run_starts
 from spl_batch.formats.gps_clock import time_standard, usable_times
 from spl_batch.lattice.row_order import in_order, lexicographic_order
 from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable, rows_of
@@ -126,10 +127,11 @@ def _without_lone(table: PointTable, gap_s: float) -> PointTable:
 
 
 def rate_of(time_s: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Bins of finite times [s] that hold points, in order, and how many [count]: (m, 2)."""
+    """Bins that hold points, by finite times in order [s], and how many [count]: (m, 2)."""
     # Times that are none may be anything; they are far from all others, wherever that is.
     bins = np.clip(np.floor(time_s * BINS_PER_S), -_FAR_BINS, _FAR_BINS).astype(np.int64)
-    return np.stack(np.unique(bins, return_counts=True), axis=1)
+    starts = run_starts(bins)
+    return np.stack([bins[starts[:-1]], np.diff(starts)], axis=1)
 
 
 def sum_of_bins(parts: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
