@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,20 +22,6 @@ from spl_batch.lattice.tiles import Bounds, CellId, quanta, whole_cells
 def _most_timed(indexed: tuple[str, Receipt]) -> tuple[int, str]:
     key, receipt = indexed
     return int(receipt.facts["timeless"]) - int(receipt.facts["points"]), key
-
-
-class Pieces(NamedTuple):
-    """Parts of input files that hold points of a point source id."""
-
-    names: list[str]  #: What the files of the store that hold them are called.
-    #: (p,): times of the first and the last of these points [s].
-    first_s: NDArray[np.float64]
-    last_s: NDArray[np.float64]
-
-    def within(self, low_s: float, high_s: float) -> list[str]:
-        """Names of those that can have points of a time [s]."""
-        near = np.flatnonzero((self.first_s <= high_s) & (self.last_s >= low_s))
-        return [self.names[k] for k in near.tolist()]
 
 
 @dataclass
@@ -64,24 +49,29 @@ class Survey(Ledger[Inputs, Workflow]):
         """Flightlines with times, also of a survey that is not filtered; complete likewise."""
         return find_flightlines(self.of("index_file"), self.workflow)
 
-    @cached_property
-    def pieces(self) -> dict[int, Pieces]:
-        """What of the input holds points of each point source id; complete once the index is.
+    def parts_between(self, psid: int, low_s: float, high_s: float) -> list[str]:
+        """What of the input can hold points of an id and a time [s]; complete once the index is.
 
         Files with most usable times come first: of returns that several hold theirs count, not
         those of a copy whose times are broken.
         """
-        found: dict[int, list[tuple[str, float, float]]] = {}
+        names, ends = self._parts[psid]
+        near = np.flatnonzero((ends[:, 0] <= high_s) & (ends[:, 1] >= low_s))
+        return [names[k] for k in near.tolist()]
+
+    @cached_property
+    def _parts(self) -> dict[int, tuple[list[str], NDArray[np.float64]]]:
+        """Parts of files by point source id, first and last time of their points: (p, 2) [s]."""
+        found: dict[int, tuple[list[str], list[list[float]]]] = {}
         for key, receipt in sorted(self.of("index_file").items(), key=_most_timed):
             if is_timeless(receipt, self.workflow):
                 continue
             for k, held in enumerate(receipt.facts["parts"]):
-                for psid, (first, last) in held.items():
-                    found.setdefault(int(psid), []).append((part_name(key, k), first, last))
-        return {
-            psid: Pieces([n for n, _, _ in listed], *np.array([ends for _, *ends in listed]).T)
-            for psid, listed in found.items()
-        }
+                for psid, ends in held.items():
+                    names, listed = found.setdefault(int(psid), ([], []))
+                    names.append(part_name(key, k))
+                    listed.append(ends)
+        return {psid: (names, np.array(listed)) for psid, (names, listed) in found.items()}
 
     @cached_property
     def positions(self) -> Mapping[str, str]:

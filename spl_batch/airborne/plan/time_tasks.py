@@ -224,7 +224,7 @@ def _stretch_args(survey: Survey, line: Flightline, name: str, k: int) -> dict[s
     return {
         **_line_args(survey, line),
         "stretch": name,
-        "sources": survey.pieces[line.psid].within(low_s, high_s),
+        "sources": survey.parts_between(line.psid, low_s, high_s),
         "shots": [k * line.stretch_shots, (k + 1) * line.stretch_shots],
         "window_s": list(window),
         "span_s": [line.first_s, line.last_s],
