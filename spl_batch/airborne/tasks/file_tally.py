@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,14 +57,6 @@ _NOTHING: Final[Counted] = {
     "channels": np.empty(0, np.int64),
 }
 """What is counted of no points."""
-
-
-class _Spans(NamedTuple):
-    """Spans of time ``[first, last, points]`` of a file."""
-
-    near: dict[int, list[list[float]]]  #: Of flightlines, by point source id.
-    astray: list[list[float]]  #: Years from the others.
-    scattered: list[list[float]]  #: Too many for the few points that they hold.
 
 
 def observe(table: PointTable, gap_s: float) -> Counted:
@@ -171,47 +163,56 @@ def _lines(counted: Counted) -> list[int]:
     return sorted(int(k.partition("/")[0]) for k in counted if k.endswith("/spans"))
 
 
-def _time_spans(counted: Counted, gap_s: float, few: int) -> _Spans:
-    """Time spans of each flightline, and those of times that none of them can have.
+Spans = NDArray[np.float64]
+"""Rows of point source id, first and last time [s], and points: (k, 4)."""
 
-    ``few``: spans with next to no points that are kept [count].
+
+def _spans(counted: Counted, gap_s: float, left: int) -> tuple[Spans, Spans, Spans]:
+    """Spans of time of flightlines, those years from the others, and those of scattered times.
+
+    Each flightline costs a run some tasks, so a file's must be worth them: the k-th largest span
+    holds at least k points, and :data:`SEASON_POINTS`. Where more spans do not than are ``left``,
+    :data:`SPANS_FEW`, the times of their points are scattered: none of these spans is a flightline.
+    A file of n points makes no more than ``sqrt(n) + SPANS_FEW`` flightlines, whatever its times
+    are.
     """
-    merged = {k: merge_spans(counted[f"{k}/spans"], gap_s) for k in _lines(counted)}
-    spans = np.array([span for listed in merged.values() for span in listed]).reshape(-1, 3)
-    found = _Spans({}, [], [])
-    if not len(spans):
-        return found
-    order = np.argsort(spans[:, 0], kind="stable")
-    total = np.cumsum(spans[order, 2])
-    middle = float(spans[order[np.searchsorted(total, total[-1] / 2)], 0])
-    for psid, listed in merged.items():
-        for span in listed:
-            apart_s = max(span[0] - middle, middle - span[1])
-            small = span[2] < SEASON_POINTS
-            unset = span[0] == span[1] == 0.0
-            far = unset or apart_s > FLOWN_S or (small and apart_s > YEAR_S)
-            (found.astray if far else found.near.setdefault(psid, [])).append(span)
-    return _without_scattered(found, few)
+    spans = np.array(
+        [(k, *span) for k in _lines(counted) for span in merge_spans(counted[f"{k}/spans"], gap_s)]
+    ).reshape(-1, 4)
+    _, first, last, points = spans.T
+    order = np.argsort(first, kind="stable")
+    total = np.cumsum(points[order])
+    middle = first[order[np.searchsorted(total, total[-1:] / 2)]]
+    apart_s = np.maximum(first - middle, middle - last)
+    far = (apart_s > FLOWN_S) | ((points < SEASON_POINTS) & (apart_s > YEAR_S))
+    far |= (first == 0.0) & (last == 0.0)
+    near = spans[~far]
+    largest = np.sort(near[:, 3])[::-1]
+    small = largest < np.maximum(np.arange(1, len(largest) + 1), SEASON_POINTS)
+    most = largest[small][0] if np.count_nonzero(small) > left else 0.0
+    scattered = near[:, 3] <= most  # all of this size go: which comes first says nothing
+    return near[~scattered], spans[far], near[scattered]
 
 
 def facts_of(counted: Counted, gap_s: float) -> dict[str, Any]:
     """What later phases and the report read of a file; ``gap_s`` as of :func:`observe`."""
     counts = dict(zip(_COUNTED, counted["counts"].tolist(), strict=True))
-    few = 0 if counts["lone"] else SPANS_FEW
-    near, astray, scattered = _time_spans(counted, gap_s, few)
-    lone = counts["lone"] + sum(int(points) for *_, points in scattered)
-    far = sum(int(points) for *_, points in astray)
+    near, astray, scattered = _spans(counted, gap_s, 0 if counts["lone"] else SPANS_FEW)
+    lone = counts["lone"] + int(scattered[:, 3].sum())
+    flown: dict[str, list[list[float]]] = {}
+    for psid, first_s, last_s, points in near.tolist():
+        flown.setdefault(f"{psid:.0f}", []).append([first_s, last_s, int(points)])
     lines, channels = _lines(counted), np.unique(counted["channels"])
     ends = [*counted["low"].tolist(), *counted["high"].tolist()]
     return {
         **counts,
-        "timeless": counts["timeless"] + far + lone,
-        "astray_s": [first for first, *_ in astray[:1]],
+        "timeless": counts["timeless"] + int(astray[:, 3].sum()) + lone,
+        "astray_s": astray[:1, 1].tolist(),
         "lone": lone,
         "bounds": ends if counts["points"] else None,
         "channels_seen": f"{sum(1 << channel for channel in channels.tolist()):x}",
-        "standard": time_standard(np.array([span[:2] for some in near.values() for span in some])),
-        "spans": {str(psid): spans for psid, spans in near.items()},
+        "standard": time_standard(near[:, 1:3]),
+        "spans": flown,
         "fullest": {str(k): fullest(counted[f"{k}/rate"]) for k in lines},
         "prf_hz": {str(k): estimate_prf(_all_bins(counted[f"{k}/steps"])) for k in lines},
     }
@@ -228,26 +229,6 @@ def spans_of(counted: Counted) -> dict[str, list[float]]:
     """First and last time of each flightline in what was counted [s]."""
     spans = {psid: counted[f"{psid}/spans"] for psid in _lines(counted)}
     return {str(k): [float(v[:, 0].min()), float(v[:, 1].max())] for k, v in spans.items()}
-
-
-def _without_scattered(found: _Spans, left: int) -> _Spans:
-    """Part spans that are flightlines from scattered times, which none has.
-
-    Each flightline costs a run some tasks, so a file's must be worth them: the k-th largest span
-    holds at least k points, and :data:`SEASON_POINTS`. Where more than :data:`SPANS_FEW` spans do
-    not, the times of their points are scattered: none of these spans is a flightline. A file of n
-    points makes no more than ``sqrt(n) + SPANS_FEW`` flightlines, whatever its times are. ``left``
-    in place of :data:`SPANS_FEW`.
-    """
-    points = np.array([span[2] for listed in found.near.values() for span in listed])
-    largest = np.sort(points)[::-1]
-    small = largest < np.maximum(np.arange(1, len(largest) + 1), SEASON_POINTS)
-    if np.count_nonzero(small) <= left:
-        return found
-    most = float(largest[small][0])  # all of this size go: which comes first says nothing
-    near = {k: [s for s in listed if s[2] > most] for k, listed in found.near.items()}
-    scattered = [span for listed in found.near.values() for span in listed if span[2] <= most]
-    return found._replace(near={k: v for k, v in near.items() if v}, scattered=scattered)
 
 
 def merge_spans(spans: NDArray[np.float64], gap_s: float) -> list[list[float]]:

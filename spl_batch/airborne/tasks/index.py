@@ -2,7 +2,7 @@
 
 import hashlib
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from functools import partial
 from itertools import chain, pairwise
@@ -226,7 +226,7 @@ def check_file(
 
 def trajectory(args: Mapping[str, Any], context: Context) -> Produced:
     """Bring the trajectory into the survey's CRS and the points' time, in one file."""
-    path, hashes = context.store.path("trajectory.parquet"), _Hashes()
+    path, hashes = context.store.path("trajectory.parquet"), dict[int, Any]()
     with ExitStack() as stack:
         for name, stamp in zip(args["paths"], args["stamps"], strict=True):
             stack.enter_context(unchanged(Path(name), stamp))
@@ -239,10 +239,10 @@ def trajectory(args: Mapping[str, Any], context: Context) -> Produced:
                 folder=context.store.local,
             )
         )
-        write_trajectory(path, map(hashes.see, found))
+        write_trajectory(path, _hashed(found, hashes))
     facts = {
         "name": named([Path(p).name for p in args["paths"]], 3),
-        "positions": hashes.found(),
+        "positions": {str(span): digest.hexdigest() for span, digest in hashes.items()},
         "findings": [
             *(Finding("T02", {"kind": "file", "what": text}) for text in found.warnings),
             *(Finding("E01", {"kind": "memory", "what": text}) for text in found.notes),
@@ -252,23 +252,13 @@ def trajectory(args: Mapping[str, Any], context: Context) -> Produced:
     return Produced([path], facts)
 
 
-class _Hashes:
-    """Hash of the positions in each span of :data:`POSITIONS_S` that has some."""
-
-    def __init__(self) -> None:
-        self._open: dict[int, Any] = {}
-
-    def see(self, records: Records) -> Records:
-        """Add records that follow those before; they are given back."""
-        time, xyz = records
+def _hashed(records: Iterable[Records], hashes: dict[int, Any]) -> Iterator[Records]:
+    """Records as they come; ``hashes``: gets one of the positions in each span that has some."""
+    for time, xyz in records:
         span = np.floor_divide(time, POSITIONS_S).astype(np.int64)
         cuts = [0, *(np.flatnonzero(np.diff(span)) + 1).tolist(), len(span)]
         rows = np.column_stack([time, xyz])
         for a, b in pairwise(cuts):
-            digest = self._open.setdefault(int(span[a]), hashlib.blake2b(digest_size=8))
+            digest = hashes.setdefault(int(span[a]), hashlib.blake2b(digest_size=8))
             digest.update(rows[a:b].tobytes())
-        return records
-
-    def found(self) -> dict[str, str]:
-        """Hashes by the number of the span."""
-        return {str(span): digest.hexdigest() for span, digest in self._open.items()}
+        yield time, xyz
