@@ -5,9 +5,10 @@ steps. What failed there is left out: its points stay unlabelled, the rest goes 
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import accumulate
 from pathlib import Path
 from typing import Any, Final
+
+import numpy as np
 
 from spl_batch.airborne.filter.published import OF_SHOTS
 from spl_batch.airborne.plan.flightlines import Flightline
@@ -95,13 +96,10 @@ def _time_of_most(lines: Sequence[Flightline]) -> list[float]:
     in which week a trajectory was flown.
     """
     ordered = sorted(lines, key=lambda line: line.first_s)
-    upto = list(accumulate(line.points for line in ordered))
-    few = FEW_POINTS * upto[-1]
-    most = [
-        line
-        for line, end in zip(ordered, upto, strict=True)
-        if end > few and upto[-1] - end + line.points > few
-    ]
+    points = np.array([line.points for line in ordered])
+    upto = np.cumsum(points)
+    enough = np.minimum(upto, upto[-1] - upto + points) > FEW_POINTS * upto[-1]
+    most = [ordered[k] for k in np.flatnonzero(enough).tolist()]
     return [most[0].first_s, max(line.last_s for line in most)]
 
 
