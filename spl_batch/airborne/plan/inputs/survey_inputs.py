@@ -1,6 +1,7 @@
 """Which files a workflow names, and what is wrong with all of them at once; headers only."""
 
 import difflib
+import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -265,10 +266,8 @@ def _with_channel(
 
     Where all lack it the key is wrong, not the files.
     """
-    if dimension is None:
-        return list(files), []
     lacking = [facts for facts in files if dimension not in facts.dimensions]
-    if not lacking:
+    if dimension is None or not lacking:
         return list(files), []
     if len(lacking) == len(files):
         there = list(dict.fromkeys(name for facts in files for name in facts.dimensions))
@@ -287,16 +286,9 @@ def _with_channel(
 
 def _delivered_names(paths: Sequence[Path], base: Path) -> list[str]:
     """Relative names of the outputs: from the workflow's folder, else from a common one."""
-    if not paths:
-        return []
     root = base
     if not all(path.is_relative_to(base) for path in paths):
-        parents = [path.parent for path in paths]
-        root = next(
-            p
-            for p in (parents[0], *parents[0].parents)
-            if all(q.is_relative_to(p) for q in parents)
-        )
+        root = Path(os.path.commonpath([path.parent for path in paths]))
     relative = [path.relative_to(root).as_posix() for path in paths]
     stems = [name.rsplit(".", 1)[0].removesuffix(".copc") for name in relative]
     twice = {stem for stem, n in Counter(stems).items() if n > 1}
