@@ -45,6 +45,7 @@ def _step(stage: str, run: str, tasks: str, name: str, **options: Any) -> Step:
 _SHUFFLED: Final = ("build_tile", "align")
 """What the space domain is planned from: its points by tile, and whether flightlines are moved."""
 
+# Stage, where tasks are done, and where they are planned.
 _index = partial(_step, "index", "tasks.index", "time_tasks")
 _sights = partial(_step, "shots", "tasks.lines_of_sight", "time_tasks")
 _shots = partial(_step, "shots", "tasks.time_domain", "time_tasks")

@@ -134,14 +134,9 @@ class Survey(Ledger[Inputs, Workflow]):
 
 def timeless_sources(survey: Survey) -> list[Source]:
     """Files whose points have no usable time although the chain needs it."""
-    indexed = survey.of("index_file")
-    return [
-        s
-        for s in survey.inputs.sources
-        if survey.filtering
-        and str(s.key) in indexed
-        and is_timeless(indexed[str(s.key)], survey.workflow)
-    ]
+    indexed = survey.of("index_file") if survey.filtering else {}
+    there = (source for source in survey.inputs.sources if str(source.key) in indexed)
+    return [one for one in there if is_timeless(indexed[str(one.key)], survey.workflow)]
 
 
 def mosaic_bounds(survey: Survey) -> Bounds:
