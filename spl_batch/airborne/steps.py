@@ -47,7 +47,6 @@ _SHUFFLED: Final = ("build_tile", "align")
 
 # Stage, where tasks are done, and where they are planned.
 _index = partial(_step, "index", "tasks.index", "time_tasks")
-_sights = partial(_step, "shots", "tasks.lines_of_sight", "time_tasks")
 _shots = partial(_step, "shots", "tasks.time_domain", "time_tasks")
 _scatter = partial(_step, "shuffle", "tasks.time_domain", "time_tasks")
 _tiles = partial(_step, "shuffle", "tasks.time_domain", "space_tasks", unit="tile")
@@ -81,9 +80,9 @@ STEPS: Final[Steps] = table(
         settings=("survey.trajectory_crs",),
         after=("trajectory_file", "index_file"),
     ),
-    _sights("sights", settings=_OBSERVED, unit="stretch", bytes_per_point=380),
-    _sights("sensor_path"),
-    _sights("observe", settings=_OBSERVED, unit="stretch", bytes_per_point=380),
+    _shots("sights", settings=_OBSERVED, unit="stretch", bytes_per_point=380),
+    _shots("sensor_path"),
+    _shots("observe", settings=_OBSERVED, unit="stretch", bytes_per_point=380),
     _shots("fit_line", settings=_TIME, unit="flightline"),
     _scatter(
         "scatter",
