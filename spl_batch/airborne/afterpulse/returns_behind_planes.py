@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse.weighted_counts import most_around
+from spl_batch.lattice.lattice_columns import Columns, first_above
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.kdtree import U0, U1, U2
-from spl_batch.numerics.neighbours.lattice_columns import Columns, first_above
 from spl_batch.numerics.planes.robust_plane import plane_of_moments
 
 

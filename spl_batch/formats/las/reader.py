@@ -87,39 +87,35 @@ def inspect(path: Path) -> LasFacts:
         With every fault of the file, each with its remedy.
     """
     with as_input_fault(path):
-        return _inspected(path)
+        header = read_header(path)
+        with RecordReader(header) as reader:
+            layout, layered = reader.layout, can_be_copied(reader)
+        empty = () if header.n_points else ("the file holds no points",)
+        crs, crs_warnings = header_crs(header)
+        return LasFacts(
+            path=path,
+            size_bytes=header.size_bytes,
+            n_points=header.n_points,
+            version=header.version,
+            point_format=header.point_format,
+            scales=header.scales,
+            offsets=header.offsets,
+            mins_m=header.mins_m if header.n_points else (0.0, 0.0, 0.0),
+            maxs_m=header.maxs_m if header.n_points else (0.0, 0.0, 0.0),
+            crs=crs,
+            adjusted_standard_bit=bool(header.global_encoding & ADJUSTED_BIT),
+            has_gps_time="gps_time" in layout.names,
+            dimensions=layout.names,
+            warnings=(*empty, *crs_warnings),
+            rounding=tuple(_rounding(header)),
+            layers_can_be_copied=layered,
+        )
 
 
 def is_delivered(path: Path) -> bool:
     """Whether a file is a copy with labels that a run has made: its extra bytes say so."""
     described = {one.descriptor for one in record_layout(read_header(path)).extra}
     return described >= {added(name).descriptor for name in (FIRST_CLASS, "noise_class")}
-
-
-def _inspected(path: Path) -> LasFacts:
-    header = read_header(path)
-    with RecordReader(header) as reader:
-        layout = reader.layout
-        layered = can_be_copied(reader)
-    crs, crs_warnings = header_crs(header)
-    return LasFacts(
-        path=path,
-        size_bytes=header.size_bytes,
-        n_points=header.n_points,
-        version=header.version,
-        point_format=header.point_format,
-        scales=header.scales,
-        offsets=header.offsets,
-        mins_m=header.mins_m if header.n_points else (0.0, 0.0, 0.0),
-        maxs_m=header.maxs_m if header.n_points else (0.0, 0.0, 0.0),
-        crs=crs,
-        adjusted_standard_bit=bool(header.global_encoding & ADJUSTED_BIT),
-        has_gps_time="gps_time" in layout.names,
-        dimensions=layout.names,
-        warnings=(*header.warnings, *crs_warnings),
-        rounding=tuple(_rounding(header)),
-        layers_can_be_copied=layered,
-    )
 
 
 def promised_points(path: Path) -> int:
