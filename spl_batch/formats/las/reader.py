@@ -22,12 +22,13 @@ from spl_batch.formats.las.known_records import header_crs
 from spl_batch.formats.las.layers import can_be_copied
 from spl_batch.formats.las.records import (
     FIRST_CLASS,
+    FIRST_EXTENDED_FORMAT,
+    SCAN_ANGLE_STEP_DEG,
     RecordLayout,
     added,
     dimension,
     given_classes,
     record_layout,
-    scan_angle_deg,
 )
 from spl_batch.formats.units import METRES, Units
 from spl_batch.lattice.tables import COLUMNS, EXCLUDED, SOURCE_COLUMNS, PointFlag, PointTable
@@ -295,11 +296,15 @@ def _attributes(records: NDArray[Any], layout: RecordLayout) -> dict[str, NDArra
     withheld = dimension(records, layout, "withheld") != 0
     noise = (classes == CLASS_LOW_NOISE) | (classes == CLASS_HIGH_NOISE)
     timed = "gps_time" in layout.names
+    if layout.point_format < FIRST_EXTENDED_FORMAT:
+        angle_deg = records["scan_angle_rank"]
+    else:
+        angle_deg = records["scan_angle"] * SCAN_ANGLE_STEP_DEG
     return {
         "gps_time": records["gps_time"] if timed else np.full(len(records), np.nan),
         "return_number": dimension(records, layout, "return_number"),
         "number_of_returns": dimension(records, layout, "number_of_returns"),
-        "scan_angle": scan_angle_deg(records, layout),
+        "scan_angle": angle_deg,
         "point_source_id": records["point_source_id"],
         "intensity": records["intensity"],
         "input_class": classes,

@@ -210,12 +210,3 @@ def dimension(records: NDArray[Any], layout: RecordLayout, name: str) -> NDArray
     offset = 0.0 if extra.offset is None else extra.offset
     scaled: NDArray[Any] = values * scale + offset
     return scaled
-
-
-def scan_angle_deg(records: NDArray[Any], layout: RecordLayout) -> NDArray[np.float32]:
-    """Scan angle, positive to starboard [deg]: (n,) float32."""
-    if layout.point_format < FIRST_EXTENDED_FORMAT:
-        rank: NDArray[np.float32] = records["scan_angle_rank"].astype(np.float32)
-        return rank
-    angle: NDArray[np.float32] = (records["scan_angle"] * SCAN_ANGLE_STEP_DEG).astype(np.float32)
-    return angle
