@@ -9,7 +9,8 @@ their wave packets, though it reads those of others well.
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -156,12 +157,6 @@ class WatchedFile:
         return call
 
 
-def _read_back(path: Path) -> None:
-    """Open a file, and read a point of it: whoever gets it can do so."""
-    with laspy.open(path, laz_backend=laspy.LazBackend.Lazrs) as file:
-        laspy.LasData(file.header, file.read_points(1))
-
-
 @contextmanager
 def output_file(path: Path) -> Iterator[WatchedFile]:
     """Open a file that takes its name when the block succeeds."""
@@ -174,30 +169,31 @@ def output_file(path: Path) -> Iterator[WatchedFile]:
             if watched.error is not None:
                 raise watched.error from None
             raise
-        with as_input_fault(f"{path} as it was written"):
-            _read_back(temporary)
+        # Whoever gets it can open it, and read a point of it.
+        with (
+            as_input_fault(f"{path} as it was written"),
+            laspy.open(temporary, laz_backend=laspy.LazBackend.Lazrs) as written,
+        ):
+            laspy.LasData(written.header, written.read_points(1))
 
 
+@dataclass
 class Extent:
     """Counts and bounding box that the header needs, gathered from the records."""
 
-    def __init__(self) -> None:
-        self.low = [2**31] * 3
-        self.high = [-(2**31)] * 3
-        self.returns = np.zeros(16, dtype=np.int64)
+    #: (2, 3) int64: largest raw X, Y, Z, then the smallest.
+    ends: NDArray[np.int64] = field(default_factory=partial(np.outer, [-(2**31), 2**31], [1] * 3))
+    #: (16,) int64: records by return number [count].
+    returns: NDArray[np.int64] = field(default_factory=partial(np.zeros, 16, np.int64))
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[np.int64]]) -> "Extent":
         """What :meth:`to_arrays` gave."""
-        found = cls()
-        found.low, found.high = (arrays[f"extent/{side}"].tolist() for side in ("low", "high"))
-        found.returns = arrays["extent/returns"]
-        return found
+        return cls(arrays["extent/ends"], arrays["extent/returns"])
 
     def to_arrays(self) -> dict[str, NDArray[np.int64]]:
         """Arrays by name, to be stored."""
-        sides = {"low": self.low, "high": self.high, "returns": self.returns}
-        return {f"extent/{name}": np.asarray(v, np.int64) for name, v in sides.items()}
+        return {"extent/ends": self.ends, "extent/returns": self.returns}
 
     @property
     def n_points(self) -> int:
@@ -206,26 +202,21 @@ class Extent:
 
     def add(self, records: NDArray[Any]) -> None:
         """Count records in."""
-        for axis, name in enumerate("XYZ"):
-            self.low[axis] = min(self.low[axis], int(records[name].min()))
-            self.high[axis] = max(self.high[axis], int(records[name].max()))
-        self.returns += np.bincount(records["bit_fields"] & 15, minlength=16)
+        ends = np.array([[records[a].max() for a in "XYZ"], [records[a].min() for a in "XYZ"]])
+        self.join(Extent(ends, np.bincount(records["bit_fields"] & 15, minlength=16)))
 
     def join(self, other: "Extent") -> None:
         """Count in what another one has counted."""
-        self.low = [min(pair) for pair in zip(self.low, other.low, strict=True)]
-        self.high = [max(pair) for pair in zip(self.high, other.high, strict=True)]
+        largest = np.maximum(self.ends[0], other.ends[0])
+        self.ends = np.stack([largest, np.minimum(self.ends[1], other.ends[1])])
         self.returns = self.returns + other.returns
 
     def box(self, frame: Frame) -> list[float]:
         """Max x, min x, max y, and so on: the header's order [m]."""
         if self.n_points == 0:
             return [0.0] * 6
-        return [
-            side[axis] * frame.scales[axis] + frame.offsets[axis]
-            for axis in range(3)
-            for side in (self.high, self.low)
-        ]
+        box: list[float] = (self.ends * frame.scales + frame.offsets).T.ravel().tolist()
+        return box
 
 
 def write_laz(path: Path, frame: Frame, chunks: Iterable[NDArray[Any]]) -> int:
