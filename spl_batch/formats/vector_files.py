@@ -104,8 +104,15 @@ def all_layers(path: Path, *, fields: bool) -> Iterator[Layer]:
         yield Layer(name, kind, fids, shapes, values, meta["crs"])
 
 
-def read_layers(path: Path, kinds: Sequence[int], *, fields: bool = False) -> Iterator[Layer]:
-    """Layers that hold shapes of some kinds, and of each only these.
+def read_layers(
+    path: Path,
+    kinds: Sequence[int],
+    crs: CRS | None,
+    *,
+    fields: bool = False,
+    heights: bool = False,
+) -> Iterator[Layer]:
+    """Layers that hold shapes of some kinds, and of each only these, in metres.
 
     Parameters
     ----------
@@ -114,13 +121,17 @@ def read_layers(path: Path, kinds: Sequence[int], *, fields: bool = False) -> It
     kinds : sequence of int
         Types of geometry that are wanted. Layers of others are left out, and points; lines and
         collections among polygons, unless wanted, are faults: they may be meant as areas.
-    fields : bool
-        Whether columns are read.
+    crs : CRS or None
+        CRS on whose axes shapes are wanted; none is only good for a file without a CRS.
+    fields, heights : bool
+        Whether columns are read, and whether vertices keep their heights, in that CRS's unit.
 
     Raises
     ------
     InputError
-        If the file cannot be read, or a shape is missing, damaged or nowhere on Earth.
+        If the file cannot be read, or a shape is missing, damaged or nowhere on Earth; if one of
+        the two has no CRS, or shapes cannot be transformed; if heights that are kept are in another
+        unit or above another datum, or nothing states their unit.
     """
     for layer in all_layers(path, fields=fields):
         chosen = np.isin(shapely.get_type_id(layer.shapes), kinds) & ~shapely.is_empty(layer.shapes)
@@ -133,7 +144,9 @@ def read_layers(path: Path, kinds: Sequence[int], *, fields: bool = False) -> It
             text = f"layer {layer.name}: {'; '.join(faults)}: mend or delete it, or copy it again"
             raise InputError(str(path), text)
         if chosen.any():
-            yield layer.only(chosen)
+            found = layer.only(chosen)
+            shapes = found.shapes if heights else shapely.force_2d(found.shapes)
+            yield found._replace(shapes=_in_crs(path, shapes, layer.crs, crs, heights=heights))
 
 
 def _faults(
@@ -169,28 +182,10 @@ def _as_one_line(path: Path) -> Iterator[None]:
         yield
 
 
-def in_crs(
-    path: Path, shapes: Geometries, own: str | None, crs: CRS | None, *, heights: bool = False
+def _in_crs(
+    path: Path, shapes: Geometries, own: str | None, crs: CRS | None, *, heights: bool
 ) -> Geometries:
-    """Shapes of a file on the axes of another CRS, in metres.
-
-    Parameters
-    ----------
-    path : Path
-        The file, for messages.
-    shapes : (n,) ndarray of Geometry
-        What it holds.
-    own, crs : str and CRS, or None
-        The file's CRS and the one that is wanted; without both, shapes are as they are.
-    heights : bool
-        Whether heights are kept; they are in that CRS's unit.
-
-    Raises
-    ------
-    InputError
-        If one of both has no CRS, heights that are kept are in another unit or above another
-        datum, or nothing states their unit, or they cannot be transformed.
-    """
+    """Shapes of a file in a CRS of its ``own`` on the axes of another one, in metres."""
     if own is None and crs is None:
         return shapes
     if own is None:
@@ -258,10 +253,7 @@ def check_polygons(path: Path, crs: CRS | None) -> Geometries:
     InputError
         If the file is missing, no vector file, has no polygons or no CRS, or one that is damaged.
     """
-    parts = [
-        in_crs(path, shapely.force_2d(layer.shapes), layer.crs, crs)
-        for layer in read_layers(path, POLYGONS)
-    ]
+    parts = [layer.shapes for layer in read_layers(path, POLYGONS, crs)]
     shapes: Geometries = shapely.make_valid(np.concatenate([np.empty(0, object), *parts]))
     if not shapely.area(shapes).any():
         raise InputError(str(path), "holds no polygons; draw at least one or remove the key")
