@@ -55,11 +55,6 @@ class Layer(NamedTuple):
     fields: dict[str, NDArray[Any]]  #: Columns by name in lower case, if they were asked for.
     crs: str | None
 
-    def only(self, chosen: NDArray[np.bool_]) -> "Layer":
-        """Some of its features."""
-        fields = {name: column[chosen] for name, column in self.fields.items()}
-        return self._replace(fids=self.fids[chosen], shapes=self.shapes[chosen], fields=fields)
-
 
 def refuse_referring(path: Path, *, raster: bool = False) -> None:
     """Refuse a file that names others in place of content; folders are none.
@@ -144,9 +139,10 @@ def read_layers(
             text = f"layer {layer.name}: {'; '.join(faults)}: mend or delete it, or copy it again"
             raise InputError(str(path), text)
         if chosen.any():
-            found = layer.only(chosen)
-            shapes = found.shapes if heights else shapely.force_2d(found.shapes)
-            yield found._replace(shapes=_in_crs(path, shapes, layer.crs, crs, heights=heights))
+            shapes = layer.shapes[chosen] if heights else shapely.force_2d(layer.shapes[chosen])
+            shapes = _in_crs(path, shapes, layer.crs, crs, heights=heights)
+            columns = {name: column[chosen] for name, column in layer.fields.items()}
+            yield layer._replace(fids=layer.fids[chosen], shapes=shapes, fields=columns)
 
 
 def _faults(

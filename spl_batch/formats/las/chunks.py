@@ -183,7 +183,7 @@ class RecordReader:
         self.path = header.path
         self._opened = open_input(header.path)  # it closes the file when nothing refers to it
         self._file = self._opened.__enter__()
-        self._table: ChunkTable | None = None
+        self._table = ChunkTable(np.zeros(1, np.int64), np.zeros(1, np.int64))
         self.laszip = b""
         self._n_layers = 0
         self._layers_head = struct.Struct("")
@@ -209,12 +209,12 @@ class RecordReader:
     def read(self, start: int, stop: int) -> NDArray[Any]:
         """Records ``[start, stop)``: (stop - start,) structured, with the dtype of the layout."""
         out = np.empty(stop - start, dtype=self._dtype)
-        if self._table is None:
+        if not self.header.compressed:
             self._read_plain(start, out)
             return out
         first = int(np.searchsorted(self._table.points, start, side="right")) - 1
         while start < stop:
-            begin, end = (int(v) for v in self._table.points[first : first + 2])
+            begin, end = self._table.points[first : first + 2].tolist()
             take = slice(start - (stop - len(out)), min(end, stop) - (stop - len(out)))
             if begin == start and end <= stop:
                 self._decode(first, out[take])
@@ -242,7 +242,7 @@ class RecordReader:
         n = self.header.n_points
         if n <= 2 * count:
             return [(0, self.read(0, n))]
-        if self._table is None:
+        if not self.header.compressed:
             return [(start, self.read(start, start + count)) for start in (0, n - count)]
         sizes = np.diff(self._table.points)
         found: list[tuple[int, NDArray[Any]]] = []
@@ -282,10 +282,9 @@ class RecordReader:
         bounded(self.path, f"bytes of the layers of {named}", sum(sizes), least=there, most=there)
 
     def _decode(self, chunk: int, out: NDArray[Any]) -> None:
-        table = self._table
-        if table is None or len(out) == 0:
+        if len(out) == 0:
             return
-        begin, end, packed = self._packed(table, chunk)
+        begin, end, packed = self._packed(chunk)
         with as_input_fault(self.path, f"points {begin} to {end - 1} cannot be decoded"):
             lazrs.decompress_points_with_chunk_table(
                 packed, self.laszip, out.view(np.uint8), [(len(out), len(packed))]
@@ -295,15 +294,12 @@ class RecordReader:
 
     def packed_chunks(self) -> Iterator[tuple[int, int, bytes]]:
         """First point, past-the-last point and bytes of each LAZ chunk that holds points."""
-        table = self._table
-        if table is None:
-            return
-        for chunk in np.flatnonzero(np.diff(table.points)).tolist():
-            yield self._packed(table, chunk)
+        for chunk in np.flatnonzero(np.diff(self._table.points)).tolist():
+            yield self._packed(chunk)
 
-    def _packed(self, table: ChunkTable, chunk: int) -> tuple[int, int, bytes]:
-        begin, end = (int(v) for v in table.points[chunk : chunk + 2])
-        low, high = (int(v) for v in table.bytes[chunk : chunk + 2])
+    def _packed(self, chunk: int) -> tuple[int, int, bytes]:
+        begin, end = self._table.points[chunk : chunk + 2].tolist()
+        low, high = self._table.bytes[chunk : chunk + 2].tolist()
         with as_input_fault(self.path, f"points from {begin} on cannot be read"):
             self._file.seek(low)
             packed = self._file.read(high - low)

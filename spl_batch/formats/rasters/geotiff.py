@@ -252,13 +252,9 @@ def _copy_as_cog(plain: Path, cog: Path) -> None:
     )
 
 
-def _free_bytes(folder: Path) -> int:
-    return shutil.disk_usage(folder).free
-
-
 def _stopped(path: Path, shape: tuple[int, int], error: Exception) -> StoppedError:
     """GDAL tells a full disk only in prose, so the free space is looked at."""
     needed = 2 * 4 * shape[0] * shape[1]
-    if _free_bytes(path.parent) < needed:
+    if shutil.disk_usage(path.parent).free < needed:
         return StoppedError(f"{path}: disk full; free {needed // 10**6 + 1} MB and run again")
     return StoppedError(f"{path}: cannot be written: {' '.join(str(error).split())}")

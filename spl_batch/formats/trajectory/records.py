@@ -1,7 +1,6 @@
 """Records of trajectory files, some at a time: CSV, Parquet, SBET."""
 
 import csv
-import io
 import os
 import re
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -207,7 +206,9 @@ def _read_csv(path: Path, sieve: _Sieve) -> Iterator[Records]:
         return "skip"
 
     with open_input(path) as file:
-        given, delimiter = csv_head(file)
+        line = file.readline(65_536).decode("utf-8-sig", errors="replace")
+        delimiter = max(",;\t", key=line.count)
+        given = next(csv.reader([line.strip().lstrip("#")], delimiter=delimiter), [])
         names = columns_of(path, given)
         _refuse_cut_record(path, file)
         if file.tell() == path.stat().st_size:
@@ -248,14 +249,6 @@ def _refuse_cut_record(path: Path, file: BinaryIO) -> None:
             f"its last line ends without a line break and with fewer digits than the one before:"
             f" {last.strip()[-60:]!r}; it is cut off: copy it again, or end the line",
         )
-
-
-def csv_head(file: BinaryIO) -> tuple[list[str], str]:
-    """Columns that the first line of an open CSV names, and what parts them."""
-    line = file.readline(65_536).decode("utf-8-sig", errors="replace")
-    delimiter = max(",;\t", key=line.count)
-    rows = csv.reader(io.StringIO(line.strip().lstrip("#")), delimiter=delimiter)
-    return next(rows, []), delimiter
 
 
 def columns_of(path: Path, given: Sequence[str]) -> list[str]:

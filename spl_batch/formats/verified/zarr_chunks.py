@@ -149,8 +149,11 @@ def read_box(array: Path, metadata: Metadata, box: Sequence[slice]) -> NDArray[A
     )
     for piece in _pieces(_edges(metadata), box):
         try:
-            content = _unpacked(read_bytes(array / piece.name))
-            chunk = np.frombuffer(content, found.dtype).reshape(piece.shape)
+            content = read_bytes(array / piece.name)
+            packed = content[:-_CRC_BYTES]
+            if _crc(packed) != content[-_CRC_BYTES:]:
+                raise ValueError("it does not fit its checksum")
+            chunk = np.frombuffer(_ZSTD.decode(packed), found.dtype).reshape(piece.shape)
         except (*_FAULTS, OSError) as error:
             raise DamagedError(array / piece.name, error) from error
         found[piece.of_box] = chunk[piece.of_chunk]
@@ -190,15 +193,6 @@ def _packed(values: NDArray[Any], piece: _Piece, fill: float) -> bytes:
         chunk[piece.of_chunk] = values
     packed: bytes = _ZSTD.encode(np.ascontiguousarray(chunk, chunk.dtype.newbyteorder("<")))
     return packed + _crc(packed)
-
-
-def _unpacked(content: bytes) -> bytes:
-    """Values of a chunk; raises one of :data:`_FAULTS` where it is damaged."""
-    packed = content[:-_CRC_BYTES]
-    if _crc(packed) != content[-_CRC_BYTES:]:
-        raise ValueError("it does not fit its checksum")
-    values: bytes = _ZSTD.decode(packed)
-    return values
 
 
 def _crc(packed: bytes) -> bytes:
