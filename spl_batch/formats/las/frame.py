@@ -184,7 +184,7 @@ class Extent:
     #: (2, 3) int64: largest raw X, Y, Z, then the smallest.
     ends: NDArray[np.int64] = field(default_factory=partial(np.outer, [-(2**31), 2**31], [1] * 3))
     #: (16,) int64: records by return number [count].
-    returns: NDArray[np.int64] = field(default_factory=partial(np.zeros, 16, np.int64))
+    returns: NDArray[np.int64] = field(default_factory=partial(np.full, 16, np.int64(0)))
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[np.int64]]) -> "Extent":

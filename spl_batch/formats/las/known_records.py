@@ -157,7 +157,8 @@ def broken_records(header: LasHeader) -> Iterator[str]:
 
     Records that cannot be parsed, and the name of a file of waveforms that is not there.
     """
-    for record in (*header.vlrs, *header.evlrs):
+    records: list[Vlr | Evlr] = [*header.vlrs, *header.evlrs]
+    for record in records:
         fault = record_fault(header.path, record)
         if fault is not None:
             name = ascii(record.user_id.rstrip(b"\0").decode("latin-1")).strip("'")
