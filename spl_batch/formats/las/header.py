@@ -269,7 +269,7 @@ def _coordinate_faults(floats: tuple[float, ...], n_points: int) -> list[str]:
             faults.append(f"{box}; {order}: repair the header (lasinfo -repair_bb)")
         elif n_points and max(abs(low), abs(high)) > far:
             faults.append(f"{box}; allowed -{far:.0f} to {far:.0f}: the header is damaged")
-        elif n_points and abs(abs(steps + 0.5) - (2**31 - 0.5)) < 0.5:
+        elif n_points and abs(abs(steps + 0.5) - (2**31 - 0.5)) < 0.5:  # -(2**31) or 2**31 - 1
             faults.append(
                 f"{box} starts at the end of 32-bit numbers of scale {scale} and offset {offset}:"
                 " coordinates did not fit when they were written; write the file again with an"
