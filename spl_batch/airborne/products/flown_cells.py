@@ -17,7 +17,7 @@ from spl_batch.airborne.products.cell_values import cell_number, held, shape_of
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
-from spl_batch.numerics.nearest_cells import within_discs
+from spl_batch.numerics.nearest_cells import distances
 from spl_batch.numerics.nearest_heights import NEAREST
 
 NEAR_GROUND_M: Final = 10.0
@@ -76,8 +76,8 @@ def close(cells: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
     """
     if not cells.any():
         return cells
-    near = within_discs(cells, reach)
+    near = distances(cells) <= reach
     if near.all():
         return np.ones_like(cells)
-    closed: NDArray[np.bool_] = cells | ~within_discs(~near, reach)
+    closed: NDArray[np.bool_] = cells | (distances(~near) > reach)
     return closed

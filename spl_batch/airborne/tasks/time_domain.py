@@ -38,8 +38,7 @@ from spl_batch.formats.verified.parquet_npz import (
     write_arrays,
     write_table,
 )
-from spl_batch.lattice.distinct import distinct
-from spl_batch.lattice.row_order import lexicographic_order
+from spl_batch.lattice.row_order import distinct, lexicographic_order
 from spl_batch.lattice.tables import (
     CANONICAL_ORDER,
     SOURCE_COLUMNS,

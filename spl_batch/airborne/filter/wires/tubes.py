@@ -18,8 +18,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.lattice.lattice_columns import Columns, first_above, stretch_of
 from spl_batch.numerics.compiled import njit
-from spl_batch.numerics.neighbours.lattice_columns import Columns, first_above, stretch_of
 
 PARTS: Final = 8
 """Equal parts of a tube that are distinguished [count]."""
