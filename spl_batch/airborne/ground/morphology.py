@@ -81,10 +81,7 @@ def _widened(heights: Heights, square: int, diamond: int) -> Heights:
     _greatest(heights, 2 * square + 1, 1, 0)
     _greatest(heights, 2 * square + 1, 0, 1)
     if diamond:
-        beside = np.maximum(heights[1:-1, :-2], heights[1:-1, 2:])
-        np.maximum(beside, heights[:-2, 1:-1], out=beside)
-        np.maximum(beside, heights[2:, 1:-1], out=beside)
-        heights = np.maximum(beside, heights[1:-1, 1:-1], out=beside)
+        heights = _crossed(heights)
         _greatest(heights, diamond, 1, 1)
         _greatest(heights, diamond, 1, -1)
     left = max(diamond - 1, 0)
@@ -110,11 +107,24 @@ def _greatest(heights: Heights, length: int, down: int, right: int) -> None:
             if at < 0:
                 break
             if down == 0:
-                beside[:] = other
+                for c in range(columns):
+                    beside[c] = other[c]
                 other = beside
             first, shift = max(-step * right, 0), step * right
             last = columns - max(shift, 0)
             _raise_to(heights[at, first:last], other[first + shift : last + shift])
+
+
+@njit()
+def _crossed(heights: Heights) -> Heights:
+    """Greatest of each cell that is off the edges and the four beside it."""
+    out = np.empty((len(heights) - 2, heights.shape[1] - 2), np.float32)
+    for r in range(len(out)):
+        above, row, below, found = heights[r], heights[r + 1], heights[r + 2], out[r]
+        for c in range(len(found)):
+            upright = max(max(above[c + 1], below[c + 1]), row[c + 1])
+            found[c] = max(max(row[c], row[c + 2]), upright)
+    return out
 
 
 @njit()

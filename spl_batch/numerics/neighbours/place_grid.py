@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from spl_batch.numerics.cell_groups import group_by_cell
 from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.neighbours.kdtree import U0, U1
 
 PER_CELL: Final = 2.0
 """Places in a cell, on the average [count]; speed only."""
@@ -68,49 +69,46 @@ class PlaceGrid(NamedTuple):
 @njit()
 def _nearest(grid: PlaceGrid, asked: Float, reach: float, out: Index) -> None:
     """Fill; -1 at first."""
-    (rows, columns), edge, start = grid.shape, grid.edge, grid.start
+    xs, ys, number, start, (rows, columns), corner, edge = grid
     farthest = max(rows, columns)
     away2 = np.empty(out.shape[1])
     for i in range(len(asked)):
         x, y, nearest = asked[i, 0], asked[i, 1], out[i]
-        row = np.int64(np.floor(y / edge)) - grid.corner[0]
-        column = np.int64(np.floor(x / edge)) - grid.corner[1]
+        row = np.int64(np.floor(y / edge)) - corner[0]
+        column = np.int64(np.floor(x / edge)) - corner[1]
         # Rings nearer than the grid are empty.
         ring = max(0, -row, row - rows + 1, -column, column - columns + 1)
-        last, seen2, first = ring + farthest, 0.0, True
+        last, seen2, inner = ring + farthest, (_SURELY * max(ring - 1, 0) * edge) ** 2, -1
         away2[:] = reach * reach
-        if ring > 1:
-            seen2 = (_SURELY * (ring - 1) * edge) ** 2
         while ring <= last and seen2 < away2[-1]:
-            west, east = max(column - ring, 0), min(column + ring, columns - 1)
             for r in range(max(row - ring, 0), min(row + ring, rows - 1) + 1):
-                at = r * columns
-                if first or abs(r - row) == ring:
-                    _look_through(grid, start[at + west], start[at + east + 1], x, y, away2, nearest)
-                    continue
-                if column - ring >= 0:
-                    c = at + column - ring
-                    _look_through(grid, start[c], start[c + 1], x, y, away2, nearest)
-                if column + ring < columns:
-                    c = at + column + ring
-                    _look_through(grid, start[c], start[c + 1], x, y, away2, nearest)
-            seen2, first = (_SURELY * ring * edge) ** 2, False
+                # Of a row of cells those to the west of what was seen, and those to the east.
+                seen = inner if abs(r - row) <= inner else -1
+                for west, east in (
+                    (column - ring, column - seen - 1 if seen >= 0 else column + ring),
+                    (column + seen + 1, column + ring if seen >= 0 else column - 1),
+                ):
+                    low, high = max(west, 0), min(east, columns - 1)
+                    if low <= high:
+                        first, end = start[r * columns + low], start[r * columns + high + 1]
+                        _sort_in(xs, ys, number, first, end, x, y, away2, nearest)
+            seen2, inner = (_SURELY * ring * edge) ** 2, ring
             ring += 1
 
 
-@njit()
-def _look_through(
-    grid: PlaceGrid, begin: int, end: int, x: float, y: float, away2: Float, nearest: Index
-) -> None:
+@njit(inline="always")
+def _sort_in(xs, ys, number, first, end, x, y, away2, nearest):  # type: ignore[no-untyped-def]
     """Sort the places of some cells in among the nearest."""
-    for p in range(begin, end):
-        distance2, number = (grid.x[p] - x) ** 2 + (grid.y[p] - y) ** 2, grid.number[p]
-        k = len(away2)
-        while k > 0 and (
-            distance2 < away2[k - 1] or (distance2 == away2[k - 1] and number < nearest[k - 1])
+    last = np.uint64(len(away2) - 1)
+    for p in range(np.uint64(first), np.uint64(end)):
+        dx, dy = xs[p] - x, ys[p] - y
+        distance2, own = dx * dx + dy * dy, number[p]
+        if distance2 > away2[last] or (distance2 == away2[last] and own >= nearest[last]):
+            continue
+        k = last
+        while k > U0 and (
+            distance2 < away2[k - U1] or (distance2 == away2[k - U1] and own < nearest[k - U1])
         ):
-            k -= 1
-            if k + 1 < len(away2):
-                away2[k + 1], nearest[k + 1] = away2[k], nearest[k]
-        if k < len(away2):
-            away2[k], nearest[k] = distance2, number
+            away2[k], nearest[k] = away2[k - U1], nearest[k - U1]
+            k -= U1
+        away2[k], nearest[k] = distance2, own
