@@ -33,10 +33,7 @@ def _solve(matrix: Values, values: Values) -> bool:
     """
     n, end = len(values), np.uint64(len(values))
     for k in range(U0, end):
-        pivot = k
-        for i in range(k + U1, end):
-            if abs(matrix[i, k]) > abs(matrix[pivot, k]):
-                pivot = i
+        pivot = k + np.uint64(np.argmax(np.abs(matrix[k:, k])))
         if matrix[pivot, k] == 0.0:
             return False
         if pivot != k:

@@ -122,8 +122,7 @@ def _crossed(heights: Heights) -> Heights:
     for r in range(len(out)):
         above, row, below, found = heights[r], heights[r + 1], heights[r + 2], out[r]
         for c in range(len(found)):
-            upright = max(max(above[c + 1], below[c + 1]), row[c + 1])
-            found[c] = max(max(row[c], row[c + 2]), upright)
+            found[c] = max(row[c], row[c + 1], row[c + 2], above[c + 1], below[c + 1])
     return out
 
 

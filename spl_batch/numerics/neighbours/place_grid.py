@@ -62,7 +62,7 @@ class PlaceGrid(NamedTuple):
             They are nearer than this [unit of the places].
         """
         found = np.full((len(asked), count), -1, np.int64)
-        _nearest(self, asked, float(reach), found)
+        _nearest(self, np.ascontiguousarray(asked[:, :2]), float(reach), found)
         return found
 
 
