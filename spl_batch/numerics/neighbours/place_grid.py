@@ -6,7 +6,7 @@ Where places lie unevenly answers are the same.
 """
 
 import math
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,13 @@ class PlaceGrid(NamedTuple):
 
     @classmethod
     def of(cls, places: Float) -> "PlaceGrid":
-        """Grid of n > 0 places, (n, 2) or more columns, of which the first two count."""
+        """Grid of some places.
+
+        Parameters
+        ----------
+        places : (n, 2) float64
+            Places, n > 0; further columns do not count.
+        """
         x, y = places[:, 0].copy(), places[:, 1].copy()
         wide, high, share = float(np.ptp(x)), float(np.ptp(y)), PER_CELL / len(x)
         edge = max(math.sqrt(share * wide * high), share * max(wide, high)) or 1.0
@@ -48,7 +54,9 @@ class PlaceGrid(NamedTuple):
         x, y = x[cells.order], y[cells.order]
         return cls(x, y, cells.order, cells.start, (cells.rows, cells.columns), corner, edge)
 
-    def nearest(self, asked: Float, count: int = 1, reach: float = math.inf) -> Index:
+    def nearest(
+        self, asked: NDArray[np.floating[Any]], count: int = 1, reach: float = math.inf
+    ) -> Index:
         """Numbers of the nearest places, nearest first: (m, count) int64; -1 where there is none.
 
         Parameters
@@ -57,12 +65,12 @@ class PlaceGrid(NamedTuple):
             Where neighbours are asked for, anywhere, near ones following each other; further
             columns do not count.
         count : int
-            Neighbours of each [count].
+            Neighbours of each, at least 1 [count].
         reach : float
             They are nearer than this [unit of the places].
         """
         found = np.full((len(asked), count), -1, np.int64)
-        _nearest(self, np.ascontiguousarray(asked[:, :2]), float(reach), found)
+        _nearest(self, np.ascontiguousarray(asked[:, :2], np.float64), float(reach), found)
         return found
 
 
@@ -74,8 +82,7 @@ def _nearest(grid: PlaceGrid, asked: Float, reach: float, out: Index) -> None:
     away2 = np.empty(out.shape[1])
     for i in range(len(asked)):
         x, y, nearest = asked[i, 0], asked[i, 1], out[i]
-        row = np.int64(np.floor(y / edge)) - corner[0]
-        column = np.int64(np.floor(x / edge)) - corner[1]
+        row, column = int(np.floor(y / edge)) - corner[0], int(np.floor(x / edge)) - corner[1]
         # Rings nearer than the grid are empty.
         ring = max(0, -row, row - rows + 1, -column, column - columns + 1)
         last, seen2, inner = ring + farthest, (_SURELY * max(ring - 1, 0) * edge) ** 2, -1
