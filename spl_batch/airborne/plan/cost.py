@@ -41,7 +41,7 @@ RATES_POINTS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
         "ground": 1.5e6,
         "surfaces": 1.05e6,
         "deliver": 2.9e6,
-        "report": 0.28e6,
+        "report": 0.85e6,
     }
 )
 """Points per second and worker until a store has measured its own, those of ``report`` of the
@@ -53,9 +53,9 @@ TASK_S: Final[Mapping[str, float]] = MappingProxyType(
         "index": 0.01,
         "shots": 0.005,
         "shuffle": 0.015,
-        "denoise": 1.5,
-        "ground": 0.4,
-        "surfaces": 0.35,
+        "denoise": 1.0,
+        "ground": 0.3,
+        "surfaces": 0.3,
         "deliver": 0.03,
         "report": 0.02,
     }

@@ -29,7 +29,7 @@ from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import COLUMNS, PointTable
 from spl_batch.lattice.tiles import Bounds, CellId, inside, parse_cell
 
-CHUNK_POINTS: Final = 500_000
+CHUNK_POINTS: Final = 1_000_000
 """Points that are read and written at a time [count]."""
 
 _KEPT: Final = ("x", "y", "z", "input_class")
