@@ -35,7 +35,7 @@ from numba.core import caching, types
 from numba.core.dispatcher import Dispatcher
 
 from spl_batch.imports import content_hash, imported
-from spl_batch.numerics.linked_code import CompilerForLinking
+from spl_batch.numerics.linked_code import CompilerForLinking, KernelCompiler
 
 try:
     import fcntl
@@ -64,7 +64,7 @@ def njit(**options: Any) -> Callable[[_F], "Dispatcher[_F]"]:
     taken = {**options, "nogil": True, "cache": True, "no_cfunc_wrapper": True}
 
     def decorate(function: _F) -> "Dispatcher[_F]":
-        kernel: Any = numba.njit(**taken)(function)
+        kernel: Any = numba.njit(**taken, pipeline_class=KernelCompiler)(function)
         kernel._cache._cache_file = kept(kernel._cache)  # noqa: SLF001 - there is no other way
         kernel.for_kernels = _inner(function, taken) or kernel
         kernel.get_overload = kernel.for_kernels.get_overload
@@ -76,8 +76,7 @@ def njit(**options: Any) -> Callable[[_F], "Dispatcher[_F]"]:
 
 def _inner(function: Callable[..., Any], options: Mapping[str, Any]) -> Any:
     """The same kernel for other kernels alone; None where its code cannot be kept apart."""
-    without = {**options, "no_cpython_wrapper": True, "pipeline_class": CompilerForLinking}
-    inner: Any = numba.njit(**without)(function)
+    inner: Any = numba.njit(**options, pipeline_class=CompilerForLinking)(function)
     code = kept(inner._cache, "inner")  # noqa: SLF001 - there is no other way
     if not isinstance(code, KeptCode):
         return None
