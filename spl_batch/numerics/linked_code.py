@@ -80,18 +80,21 @@ class LowerForLinking(_Lowering):  # type: ignore[misc]
 
 
 class KernelFlags(_Flags):  # type: ignore[misc]
-    """Flags that are soon found equal to others: numba asks for each call of its own functions."""
+    """Flags that are soon compared: numba does for each call of its own functions."""
 
     def __hash__(self) -> int:
-        """Return that of any flags: numba has the same for all."""
+        """Return what numba has for any flags."""
         return _HASH
 
     def __eq__(self, other: object) -> bool:
         """Whether all values are the same, those that are not set among them."""
-        if not isinstance(other, _Flags):
-            return NotImplemented
-        mine, others = self._values, other._values
-        return bool(mine == others or {**_DEFAULTS, **mine} == {**_DEFAULTS, **others})
+        return isinstance(other, _Flags) and bool(
+            self._values == other._values or self.values() == KernelFlags.values(other)
+        )
+
+    def values(self) -> dict[str, Any]:
+        """Values of all options."""
+        return {**_DEFAULTS, **self._values}
 
 
 class KernelCompiler(_Compiler):  # type: ignore[misc]

@@ -164,7 +164,8 @@ def nearest_keys(points, boxes, depth, leaf, slot, cap, keys, distance, fresh, s
     row = points[U3, slot]
     last = np.uint64(len(keys)) - U1
     empty = (np.int64(cap) * np.int64(cap) + 1) << 32
-    keys[:] = empty
+    for i in range(len(keys)):
+        keys[i] = empty
     low, high = leaf_slots(leaf, depth, n)
     _scan(points, low, high, x, y, z, row, keys, distance, fresh)
     climb = leaf

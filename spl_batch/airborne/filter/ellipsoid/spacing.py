@@ -170,7 +170,8 @@ def _distances(points, boxes, depth, wide, places, own, limit, wanted, out):  # 
     stack, best = np.empty(64, dtype=np.uint64), np.empty(wanted, dtype=np.float64)
     for i in range(len(places)):
         x, y, z = np.float64(places[i, 0]), np.float64(places[i, 1]), np.float64(places[i, 2])
-        best[:] = np.inf
+        for j in range(wanted):
+            best[j] = np.inf
         stack[0] = U1
         top = U1
         while top > U0:
