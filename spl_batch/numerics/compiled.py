@@ -35,7 +35,7 @@ from numba.core import caching, types
 from numba.core.dispatcher import Dispatcher
 
 from spl_batch.imports import content_hash, imported
-from spl_batch.numerics.linked_code import CompilerForLinking, KernelCompiler
+from spl_batch.numerics.linked_code import CompilerForLinking, KernelCompiler, linked
 
 try:
     import fcntl
@@ -81,6 +81,7 @@ def _inner(function: Callable[..., Any], options: Mapping[str, Any]) -> Any:
     if not isinstance(code, KeptCode):
         return None
     inner._cache._cache_file = code  # noqa: SLF001
+    inner.targetctx = linked(inner.targetctx)
     return inner
 
 

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from functools import partial
 from typing import Any, Final
 
+from llvmlite import binding
 from numba import _dynfunc  # type: ignore[attr-defined]
 from numba.core import codegen, compiler, compiler_machinery, typed_passes
 from numba.core.typing import templates
@@ -44,11 +45,31 @@ class LinkedLibrary(_Library):  # type: ignore[misc]
         """Code to keep on disk: there is no machine code of it."""
         return self.serialize_using_bitcode()
 
+    @classmethod
+    def _unserialize(cls, codegen: Any, state: tuple[str, str, bytes]) -> "LinkedLibrary":
+        """Code from disk, as it was kept."""
+        name, _, bitcode = state
+        library = cls(codegen, name)
+        library._final_module = binding.parse_bitcode(bitcode)
+        library._finalized = True
+        return library
+
 
 class LinkedCodegen(_Codegen):  # type: ignore[misc]
     """Maker of code whose libraries are all taken in by others."""
 
     _library_class = LinkedLibrary
+
+    def set_env(self, env_name: str, env: Any) -> None:
+        """Leave a function's environment to those that take it in: it has no address itself."""
+
+
+def linked(context: Any) -> Any:
+    """Twin of a target's context that makes and loads code for other code alone."""
+    twin = copy.copy(context)
+    twin._internal_codegen = copy.copy(context.codegen())  # noqa: SLF001 - no other way
+    twin._internal_codegen.__class__ = LinkedCodegen  # noqa: SLF001
+    return twin
 
 
 @_registered(mutates_CFG=True, analysis_only=False)
@@ -105,12 +126,9 @@ class KernelCompiler(_Compiler):  # type: ignore[misc]
     def compile_extra(self, func: Any) -> Any:
         """Compile a function."""
         self.state.flags = KernelFlags(self.state.flags)
-        context = self.state.targetctx  # a copy of the target's own
-        whole = context.codegen()
-        self.state.library = self._library(whole, func.__qualname__)
+        self.state.library = self._library(self.state.targetctx.codegen(), func.__qualname__)
         self.state.library.enable_object_caching()
-        context._internal_codegen = copy.copy(whole)  # noqa: SLF001
-        context._internal_codegen.__class__ = LinkedCodegen  # noqa: SLF001
+        self.state.targetctx = linked(self.state.targetctx)
         with _builtins_linked():
             return super().compile_extra(func)
 
