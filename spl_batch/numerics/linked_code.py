@@ -83,6 +83,7 @@ class LowerForLinking(_Lowering):  # type: ignore[misc]
         state.flags.no_compile = True
         # Not sooner: numba's own functions are compiled anew for each set of flags that asks.
         state.flags.no_cpython_wrapper = True
+        state.flags.forceinline = state.pipeline.inlined
         super().run_pass(state)
         lowered = state["cr"]
         name = lowered.fndesc.qualname
@@ -137,6 +138,7 @@ class CompilerForLinking(KernelCompiler):
     """The same without machine code."""
 
     _library = LinkedLibrary
+    inlined = False
 
     def define_pipelines(self) -> list[Any]:
         """Return the steps."""
@@ -146,6 +148,12 @@ class CompilerForLinking(KernelCompiler):
             for step, text in steps.passes
         ]
         return [steps]
+
+
+class CompilerForInlining(CompilerForLinking):
+    """The same for what becomes a part of each function that calls it."""
+
+    inlined = True
 
 
 @contextlib.contextmanager
