@@ -127,8 +127,9 @@ def match_points(
     highest, channels = top.reshape(-1), top.shape[1]
     west, south, size, cols = cells
     longest_s = 0.0
-    for b in range(len(blocks.prf_hz)):
-        longest_s = max(longest_s, (blocks.last[b] - blocks.first[b] + 1) / blocks.prf_hz[b])
+    for block in range(len(blocks.prf_hz)):
+        shots = blocks.last[block] - blocks.first[block] + 1
+        longest_s = max(longest_s, shots / blocks.prf_hz[block])
     # Points lie by place and beamlets by time, each far from the last in memory: many are asked
     # for at once.
     where, words, held = np.empty(AT_ONCE, np.int64), np.empty(AT_ONCE, np.int64), 0
