@@ -3,6 +3,8 @@
 numba optimises each function on its own, makes machine code of it, and optimises it again within
 each function that calls it. What nothing but kernels call needs the last of these alone: other
 kernels, numba's own functions such as ``np.zeros``, and the loops that it makes of whole arrays.
+Without the others all kernels take a sixth less processor time to compile where kernels are linked
+(side by side: 167 s before, 140 s with this), and a quarter less again where numba's are.
 """
 
 import contextlib
