@@ -147,6 +147,19 @@ def test_what_others_of_a_batch_wait_for_is_in_no_key(tmp_path: Path) -> None:
     assert outcome.receipt.key == alone.key
 
 
+def test_another_need_is_another_key(tmp_path: Path) -> None:
+    known = survey()
+    work = Worklist(replace(STEPS["ground"], tasks=tasks), known, context(tmp_path))
+    task = Task("ground", "a", {}, (("build_tile", "0_0"),))
+    keys = []
+    for name in ("x", "y"):
+        known.of("build_tile").put(Receipt("build_tile", "0_0", "", name, "", {}, {}, 0, 0.0, 0.0))
+        job = work.job(task)
+        assert job is not None
+        keys.append(job.key)
+    assert keys[0] != keys[1]
+
+
 def test_a_shelf_keeps_what_later_phases_read() -> None:
     facts = {"points": 3, "sources": ["7", "9"], "share": 0.1}
     outputs = {"store/tiles/0_0.parquet": "c"}
