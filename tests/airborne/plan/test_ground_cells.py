@@ -66,6 +66,14 @@ def test_a_cell_reads_no_more_for_the_strip_that_it_owns(listed: list[Bounds]) -
         assert shared(grow(core, BUFFER), survey) == shared(alone, survey)
 
 
+def test_strips_up_to_the_buffer_belong_to_the_next_cell() -> None:
+    cells = Grid.of_boxes([(140, 139, 660, 661)], EDGE, BUFFER)
+    assert cells.core(CellId(1, 1)) == Bounds(0, 200, 400, 400)  # 60 m enter in the west
+    assert cells.core(CellId(1, 0)) == Bounds(0, 0, 400, 200)  # 61 m in the south stay a cell
+    assert cells.core(CellId(2, 3)) == Bounds(400, 600, 800, 800)
+    assert cells.keeper(CellId(0, 0)) == CellId(1, 0)
+
+
 def test_rasters_of_several_squares_come_back_in_their_places(tmp_path: Path) -> None:
     store = tmp_path / "rasters.zarr"
     create_raster_store(store, ["dtm"], ground_cell=4000, raster_cell=1000)
