@@ -21,7 +21,7 @@ from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.plan.budget import Cost, measured_rates
 from spl_batch.formats.units import Units
 from spl_batch.lattice import density
-from spl_batch.lattice.tiles import Bounds
+from spl_batch.lattice.tiles import Bounds, quanta
 
 STORE_BYTES_PER_POINT: Final = 60
 """Working store, all of it [byte]."""
@@ -93,9 +93,8 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
         pieces, [box.bounds for box in boxes], workflow, survey.memory_bytes, survey.workers
     )
     side = denoised.grid.edge // survey.tile_q
-    tiles, cells = (
-        sum(piece.units(edge) for piece in pieces) for edge in (survey.tile_q, survey.cell_q)
-    )
+    edges = survey.tile_q, quanta(workflow.ground.cell_m)
+    tiles, cells = (sum(piece.units(edge) for piece in pieces) for edge in edges)
     stretches = sum(-(-s.facts.n_points // STRETCH_POINTS) for s in sources)
     files = [s.facts.n_points for s in sources]
     units = Units.of(survey.inputs.crs)

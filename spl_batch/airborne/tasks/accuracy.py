@@ -160,9 +160,7 @@ def compared(done: Receipts, context: Context) -> Comparison | None:
     Raises DamagedError if what a square found is missing or damaged.
     """
     settings = context.workflow.reference
-    if settings is None or settings.points is None:
-        return None
-    if not _comparable(context) or not _looked_at(done):
+    if settings is None or not _comparable(context) or not _looked_at(done):
         return None
     grid = Grid(*overview_frame(context.output / "dtm.tif"))
     total, count = np.zeros((2, grid.rows * grid.columns), np.int64)
@@ -204,18 +202,16 @@ def own_points(share: float | None) -> Iterator[Finding]:
 
 def not_compared(done: Receipts, context: Context, facts: RunFacts) -> Iterator[Finding]:
     """Whether a comparison is missing that did not fail: nobody has asked for it yet."""
-    settings = context.workflow.reference
-    if settings is None or settings.points is None:
-        return
-    if not _comparable(context) or _looked_at(done):
-        return
-    if not facts.failures:  # without the rasters of this run it is not made either
+    missing = _comparable(context) and not _looked_at(done)
+    if missing and not facts.failures:  # without the rasters of this run it is not made either
         yield Finding("C02", {"kind": "missing"})
 
 
 def _comparable(context: Context) -> bool:
-    """Whether there are the rasters without which nothing is compared."""
-    return all((context.output / name).exists() for name in ("dtm.tif", "dsm.tif"))
+    """Whether reference points are named, and there are the rasters that all is compared with."""
+    settings = context.workflow.reference
+    named = settings is not None and settings.points is not None
+    return named and all((context.output / name).exists() for name in ("dtm.tif", "dsm.tif"))
 
 
 def _looked_at(done: Receipts) -> bool:
