@@ -16,14 +16,9 @@ from spl_batch.airborne.beams.dependent_returns import dependents
 from spl_batch.airborne.ground.ground_seeds import Start, believed, first_true, start
 from spl_batch.airborne.ground.lowest_layers import lowest_layers
 from spl_batch.airborne.ground.multiscale.masks import multiscale_mask
-from spl_batch.airborne.ground.multiscale.ranging_layer import (
-    EVERYWHERE,
-    SIGMA_M,
-    evidence,
-    reckoned,
-)
+from spl_batch.airborne.ground.multiscale_surface import SIGMA_M
 from spl_batch.airborne.ground.node_grids import lowest_nodes
-from spl_batch.airborne.ground.point_spacing import Blocks, spacings_m
+from spl_batch.airborne.ground.point_spacing import Blocks, largest_of, spacings_m
 from spl_batch.airborne.ground.ptd import Limits, densify, heights_above
 from spl_batch.airborne.ground.smrf import provisional_terrain
 from spl_batch.airborne.settings import GroundSettings, PtdSettings, SmrfSettings
@@ -245,10 +240,10 @@ def _steepness(terrain: Float, cell_m: float) -> Float:
 def _multiscale(cloud: Cloud, _: GroundSettings) -> Mask:
     """By a surface whose scale follows the data."""
     points, own, asked, sigma_m = cloud
-    sigma = EVERYWHERE
-    if sigma_m is not None and sigma_m[own].max() > SIGMA_M:
-        sigma = reckoned(evidence(*cloud.some(own), sigma_m[own]))
-    return multiscale_mask(points, own, asked, sigma)
+    if sigma_m is None:
+        return multiscale_mask(points, own, asked)
+    x, y, _ = cloud.some(own)
+    return multiscale_mask(points, own, asked, largest_of(x, y, sigma_m[own], SIGMA_M))
 
 
 def _by_ptd(cloud: Cloud, settings: GroundSettings) -> Mask:

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy import ndimage, special
 
 from spl_batch.airborne.ground.morphology import object_cells
-from spl_batch.airborne.ground.multiscale.ranging_layer import EVERYWHERE
+from spl_batch.airborne.ground.lowest_layers import ENDS
 from spl_batch.airborne.ground.node_grids import lowest_nodes, plane_heights
 from spl_batch.airborne.ground.point_spacing import BLOCK_M, Blocks, no_counts, quantiles
 from spl_batch.numerics.compiled import njit
@@ -70,8 +70,15 @@ _DEPTH_M = 0.01
 _DEPTHS = 50
 """Depths below a surface are counted by steps of this, so many, and one for all deeper ones [m]."""
 
-_ENDS = 0.25
-"""Share of the layer's points that the next one may hold: more of grass, fewer of rough soil."""
+SIGMA_M: Final = 0.05
+"""Standard deviation of a range, if flightlines have no larger one [m]."""
+
+EVERYWHERE: Final = Blocks(np.full((1, 1), SIGMA_M), (0, 0))
+"""The same where nothing is known of flightlines."""
+
+BARE: Final = 0.5
+"""Share of the ranging spread that bare cells of real surveys scatter by: a layer of ground that
+does not end within the whole spread, as in grass, is as thick as this gives."""
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -148,7 +155,7 @@ def agreeing_nodes(
     """
     column, row, shape = _places(xyz, BLOCK_M)
     west, south = np.floor(xyz[:, :2].min(axis=0) / BLOCK_M).astype(int).tolist()
-    sigma_m = sigma.over((south, west), shape)
+    sigma_m = BARE * sigma.over((south, west), shape)
     going = np.ones(shape, dtype=np.bool_)
     first = lowest_nodes(xyz, usable, cell_m)
     current = np.sort(first[first >= 0])
@@ -236,7 +243,7 @@ def ends_within(heights: Blocks, reach_m: Float) -> Mask:
     Returns
     -------
     (block rows, block columns) bool
-        Whether a layer as thick above it holds at most :data:`_ENDS` of its points; never where
+        Whether a layer as thick above it holds at most :data:`.ENDS` of its points; never where
         both reach beyond what is counted.
     """
     counted = np.cumsum(_around(heights.values), axis=-1)
@@ -245,7 +252,7 @@ def ends_within(heights: Blocks, reach_m: Float) -> Mask:
         np.take_along_axis(counted, np.clip(k * steps - 1, 0, _DEPTHS)[..., None], -1)[..., 0]
         for k in (1, 2)
     )
-    ends: Mask = (twice - once <= _ENDS * once) & (2 * steps <= _DEPTHS)
+    ends: Mask = (twice - once <= ENDS * once) & (2 * steps <= _DEPTHS)
     return ends
 
 

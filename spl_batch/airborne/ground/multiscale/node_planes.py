@@ -72,7 +72,7 @@ def without_plants(nodes: Float, point_m: Float) -> tuple[Float, Float]:
     if len(nodes) <= NEAREST:
         return nodes, np.zeros(len(nodes))
     around = nearest_nodes(nodes)
-    spread_m, drift_m = np.maximum(SPREAD_M, SPREAD * point_m), np.minimum(point_m, SLOPE_M)
+    spread_m, drift_m = np.maximum(SPREAD_M, SPREAD * point_m), point_m
     weight = np.ones(len(nodes))
     for _ in range(FITS):
         off = above_planes(nodes, around, weight, drift_m)
