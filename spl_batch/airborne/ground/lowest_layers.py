@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.ground.scales import BESIDE_M, CELL_M, DEPTH_M, MOST
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.numerics.cell_groups import Cells
 from spl_batch.numerics.compiled import njit
@@ -23,23 +24,21 @@ _CROWDED = 10
 """Points in a cell from which on a layer of one or two is doubtful, and one that goes on is seen to
 [count]."""
 
-_SHEET_POINTS = 6
+_SHEET_POINTS = 2 * SUPPORTED
 _SHEET_M = 0.8
-_SHEET_SHARE = 0.75
 _CLEAR_M = 1.5
 """A sheet is a hard surface, roof or bare ground: this many points in this thickness, as a
-tilt of 35 degrees gives it in a cell of 1 m, and this share of what lies between the node
-below it and this height above it. Leaves fill twice the thickness, and do not pass."""
+tilt of 35 degrees gives it in a cell of 1 m, and most of what lies between the node below it and
+this height above it. Leaves fill twice the thickness, and do not pass."""
 
 ENDS = 0.25
 """A layer ends if the next one, as thick, holds at most this share of its points: more in grass."""
 
 _AGREEING = 2
-_REACH = 2
-_STEP_M = 0.25
+_REACH = round(BESIDE_M / CELL_M)
 _STEP_SLOPE = 0.35
-"""So many nodes of other cells, up to so many cells off, continue one within so much and so much
-more for each unit of distance [count, edges, m, rise/run]."""
+"""So many nodes of other cells, up to so many cells off, continue one within this depth and so much
+more for each unit of distance [count, edges, rise/run]."""
 
 Mask = NDArray[np.bool_]
 
@@ -205,7 +204,7 @@ def _below_sheet(heights: NDArray[np.float64], first: int) -> bool:
             continue
         while clear < len(heights) and heights[clear] <= heights[i] + _SHEET_M + _CLEAR_M:
             clear += 1
-        if end - i >= _SHEET_SHARE * (clear - first):
+        if end - i >= MOST * (clear - first):
             return True
     return False
 
@@ -269,5 +268,5 @@ def _continued(
                 for j in range(first[other], first[other + 1]):
                     d = np.sqrt((xyz[j, 0] - xyz[i, 0]) ** 2 + (xyz[j, 1] - xyz[i, 1]) ** 2)
                     if d <= _REACH * cell_m:
-                        count += abs(xyz[j, 2] - xyz[i, 2]) <= _STEP_M + _STEP_SLOPE * d
+                        count += abs(xyz[j, 2] - xyz[i, 2]) <= DEPTH_M + _STEP_SLOPE * d
         out[i] = count >= _AGREEING

@@ -3,16 +3,14 @@
 Ground cells agree on blocks where they overlap, and counts of parts of a cell add up.
 """
 
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from spl_batch.airborne.ground.scales import BLOCK_M
 from spl_batch.numerics.cell_groups import group_by_cell
-
-BLOCK_M: Final = 16.0
-"""Edge of the blocks [m]: those without points are voids."""
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from spl_batch.airborne.ground.ground_methods import ground_mask
-from spl_batch.airborne.ground.lowest_layers import ENDS, SUPPORTED, _CROWDED, lowest_layers
-from spl_batch.airborne.ground.point_spacing import BLOCK_M, largest_of
+from spl_batch.airborne.ground.lowest_layers import _CROWDED, ENDS, SUPPORTED, lowest_layers
+from spl_batch.airborne.ground.point_spacing import largest_of
+from spl_batch.airborne.ground.scales import BLOCK_M
 from spl_batch.airborne.settings import GroundSettings
 from spl_batch.lattice.tables import PointTable
 from spl_batch.numerics.cell_groups import group_by_cell
@@ -36,7 +37,8 @@ def test_layers_that_go_on_are_thinner(seed: int, thinnest: float) -> None:
     count = int(rng.integers(SUPPORTED, 30))
     x, y = rng.uniform(0, 1, (2, count))
     z = rng.normal(0, 0.03, count) + rng.choice([0, 1], count) * rng.uniform(0, 0.6, count)
-    x, y, z = np.round([x, y, z], 3) + [[0.0], [0.0], [0.0005]]
+    x, y, z = np.round([x, y, z], 3)
+    z += 0.0005
     nodes = lowest_layers(x, y, z, group_by_cell(x, y, 1.0), THICK_M, thinnest=thinnest)
     held = slow_layer(z, z.min(), thinnest)
     assert nodes.points[0] == held.sum()

@@ -20,7 +20,7 @@ from spl_batch.numerics.triangulation.tin import (
 
 SLOPE_M: Final = 1.25
 """The band grows with the slope by the spacing of the points, and this at most [m], which is what
-the source adds at any spacing."""
+the source adds at any spacing. Twice as much gains 3.7 points in ISPRS 53 and loses 3.1 in 71."""
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -22,22 +22,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from spl_batch.airborne.ground.multiscale.grown_ground import steps_to_wall
+from spl_batch.airborne.ground.scales import BESIDE_M, HIGH_M, MOST, SIDES, WALL_M, WINDOW_M
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.nearest_cells import nearest_cells
-
-SQUARE_M: Final = 2.0
-"""Edge of the squares, if cells are no larger [m]."""
-
-WALL_REACH_M: Final = 40.0
-"""How far off a wall is looked for [m]."""
-
-WALL_M: Final = 2.0
-"""Fall from one square to the next that is a wall's: that of a low storey [m]."""
-
-DIRECTIONS: Final = 16
-MOST: Final = 12
-"""Directions that are looked along, and in how many of them a wall must end the surface
-[count]."""
 
 LEAST_M2: Final = 60.0
 """Area of a small house [m2]."""
@@ -53,13 +40,8 @@ FLAT_M: Final = 0.5
 SLOPE: Final = 0.3
 """Standard deviation about the plane of a flat patch, and its slope, at most [m, rise/run]."""
 
-HOUSE_M: Final = (2.0, 8.0)
-"""Fall to most squares around a house: a storey at least, and no cliff [m]."""
-
-RIM_M: Final = 1.0
-RIM: Final = 0.7
-"""So far the terrain falls from a building to most squares around it, this share of them [m,
-1]."""
+RIM_M: Final = WALL_M / 2
+"""So far the terrain falls from a building to most squares around it [m]."""
 
 Grid = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -76,13 +58,13 @@ def on_houses(xyz: Grid, ground: Mask) -> Mask:
     ground : (n,) bool
         Those of the ground.
     """
-    column, row = np.floor(xyz[ground, :2] / SQUARE_M).astype(np.int64).T
+    column, row = np.floor(xyz[ground, :2] / BESIDE_M).astype(np.int64).T
     column, row = column - column.min(), row - row.min()
     lowest = np.full((int(row.max()) + 1, int(column.max()) + 1), np.inf)
     np.minimum.at(lowest, (row, column), xyz[ground, 2])
     raised = np.zeros(lowest.shape, np.bool_)
-    for near, mine, fall in _buildings(np.where(np.isinf(lowest), np.nan, lowest), SQUARE_M):
-        if HOUSE_M[0] <= np.median(fall) < HOUSE_M[1]:
+    for near, mine, fall in _buildings(np.where(np.isinf(lowest), np.nan, lowest), BESIDE_M):
+        if WALL_M <= np.median(fall) < HIGH_M:
             raised[near] |= mine
     out = np.zeros(len(xyz), np.bool_)
     out[ground] = raised[row, column]
@@ -101,8 +83,8 @@ def walled_in(surface: Grid, reach: int) -> Mask:
     """
     found = _between_walls(surface, reach)
     # Directions a quarter apart follow each other: most hillsides fail the first ones.
-    asked = np.arange(DIRECTIONS).reshape(4, -1).T.ravel()
-    angle = 2 * np.pi * asked / DIRECTIONS
+    asked = np.arange(2 * SIDES).reshape(4, -1).T.ravel()
+    angle = 2 * np.pi * asked / len(asked)
     towards = np.column_stack([np.sin(angle), np.cos(angle)])
     towards /= np.abs(towards).max(axis=1, keepdims=True)
     steps = (reach / np.hypot(*towards.T)).astype(np.int64)
@@ -115,7 +97,7 @@ def _keep_walled(surface: Grid, towards: Grid, steps: Index, found: Mask) -> Non
     """Keep the squares from which the surface ends in a wall in enough directions."""
     for r in range(len(surface)):
         for c in range(surface.shape[1]):
-            left = len(steps) - MOST
+            left = (1.0 - MOST) * len(steps)
             for k in range(len(steps)):
                 if not found[r, c]:
                     break
@@ -161,7 +143,7 @@ def _buildings(lowest: Grid, edge_m: float) -> Iterator[tuple[tuple[slice, ...],
     if not held.any():
         return
     surface = lowest[nearest_cells(held)]
-    numbers, _ = ndimage.label(walled_in(surface, round(WALL_REACH_M / edge_m)))
+    numbers, _ = ndimage.label(walled_in(surface, round(WINDOW_M / edge_m)))
     for number, box in enumerate(ndimage.find_objects(numbers), start=1):
         near = tuple(slice(max(side.start - 2, 0), side.stop + 2) for side in box)
         mine, heights = numbers[near] == number, surface[near]
@@ -169,7 +151,7 @@ def _buildings(lowest: Grid, edge_m: float) -> Iterator[tuple[tuple[slice, ...],
             continue
         rim, beyond = _rings(mine)
         fall = np.median(heights[mine]) - heights[rim]
-        if np.mean(fall > RIM_M) < RIM:
+        if np.mean(fall > RIM_M) < MOST:
             continue
         if beyond.any() and np.median(heights[rim]) - np.median(heights[beyond]) > RIM_M:
             continue

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from spl_batch.airborne.ground.lowest_layers import SUPPORTED
+from spl_batch.airborne.ground.scales import DEPTH_M, SIGMA_M
 from spl_batch.airborne.ground.scales import LAYER_M as RETURN_M
-from spl_batch.airborne.ground.scales import SIGMA_M
 from spl_batch.lattice.tables import PointFlag, PointTable
 from spl_batch.lattice.tiles import cell_index, quanta
 
@@ -44,7 +44,7 @@ TOP_COUNT: Final = SUPPORTED
 TOP_SHARE: Final = 0.05
 """Returns that make a layer: so many, and so much of the cell."""
 
-NEAR_M: Final = 5 * SIGMA_M
+NEAR_M: Final = DEPTH_M
 """Returns farther from the level are no surface, and tops of neighbouring cells of one water differ
 by no more, as with a fall of a twentieth [m]."""
 

@@ -13,7 +13,8 @@ from spl_batch.airborne.ground.multiscale.near_surface import (
     surface_of,
     within,
 )
-from spl_batch.airborne.ground.point_spacing import BLOCK_M, Blocks
+from spl_batch.airborne.ground.point_spacing import Blocks
+from spl_batch.airborne.ground.scales import BLOCK_M
 from spl_batch.numerics.triangulation.tin import interpolate, vertex_slopes
 
 Float = NDArray[np.float64]
