@@ -129,6 +129,24 @@ def test_a_cell_goes_without_labels_of_what_failed(tmp_path: Path) -> None:
     assert job.task.needs == (needs[1], needs[2])
 
 
+def test_what_others_of_a_batch_wait_for_is_in_no_key(tmp_path: Path) -> None:
+    known, over = survey(), False
+    work = Worklist(STEPS["surface"], known, context(tmp_path), is_over=lambda _: over)
+    needs = (("denoise", "a"), ("ground", "0_0"))
+    task = Task("surface", "0_0", {"cell": "0_0"}, needs)
+    job = work.job(task)
+    assert job is not None
+    beside = (("denoise", "far"), ("ground", "1_0"))
+    outcome = runner.do(job, context(tmp_path), [Outcome(n, receipt(*n)) for n in needs + beside])
+    for need in needs:
+        known.of(need[0]).put(receipt(*need))
+    over = True
+    alone = work.job(task)
+    assert outcome.receipt is not None
+    assert alone is not None
+    assert outcome.receipt.key == alone.key
+
+
 def test_another_need_is_another_key(tmp_path: Path) -> None:
     known = survey()
     work = Worklist(replace(STEPS["ground"], tasks=tasks), known, context(tmp_path))

@@ -123,7 +123,8 @@ def _flightline(
     start, end = clock.shot(np.array([first, last])).tolist()
     while stretch > interval and start // (stretch // 2) == end // (stretch // 2):
         stretch //= 2  # one that holds all of it is the same, however much memory there is
-    while stretch > interval and fullest_span(rates, stretch / prf) > UNEVEN * STRETCH_POINTS:
+    most = UNEVEN * STRETCH_POINTS
+    while stretch > interval and points > most and fullest_span(rates, stretch / prf) > most:
         stretch //= 2
     return Flightline(
         f"{psid:05d}_{math.floor(first)}",

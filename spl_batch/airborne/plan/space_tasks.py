@@ -37,14 +37,14 @@ from spl_batch.lattice.tiles import (
 
 
 class _Pieces(NamedTuple):
-    """Which row group of which stretch holds points of which tile: p pieces."""
+    """Which rows of which stretch are points of which tile: p pieces."""
 
     stretches: list[str]  #: Names of the stretches, sorted.
     tiles: list[CellId]  #: The tiles, in the order in which they were met.
-    #: (p,): places in those lists, row group, and its points [count].
+    #: (p,): places in those lists, first row in the stretch's file, and points [count].
     tile: NDArray[np.int32]
     stretch: NDArray[np.int32]
-    group: NDArray[np.int32]
+    first: NDArray[np.int32]
     points: NDArray[np.int32]
 
 
@@ -56,7 +56,8 @@ def build(survey: Survey) -> Iterator[Task]:
     for k in sorted(range(len(pieces.tiles)), key=pieces.tiles.__getitem__):
         mine, name = order[starts[k] : starts[k + 1]], str(pieces.tiles[k])
         stretches = [pieces.stretches[s] for s in pieces.stretch[mine].tolist()]
-        listed = list(zip(stretches, pieces.group[mine].tolist(), strict=True))
+        rows = pieces.first[mine].tolist(), pieces.points[mine].tolist()
+        listed = list(zip(stretches, *rows, strict=True))
         points = int(pieces.points[mine].sum(dtype=np.int64))
         yield Task(
             "build_tile",

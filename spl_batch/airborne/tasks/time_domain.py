@@ -4,7 +4,8 @@ A stretch is a run of whole shots on the flightline's absolute grid. Everything 
 computed here is keyed on that grid, so where a flightline is cut does not matter.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ from spl_batch.engine.tasks.context import Produced
 from spl_batch.formats.gps_clock import usable_times
 from spl_batch.formats.verified.parquet_npz import (
     read_arrays,
-    read_table,
+    read_rows,
     write_arrays,
     write_table,
 )
@@ -46,7 +47,7 @@ from spl_batch.lattice.tables import (
 from spl_batch.lattice.tiles import cell_index, quanta
 
 GROUP_POINTS = 16_384
-"""Points of a row group of a tile [count]: a halo is read from few."""
+"""Points of a row group [count]: a halo is read from few of a tile, and small tiles share one."""
 
 ALIKE = CANONICAL_ORDER[:-2]
 """Points alike in all of these are copies if they have times, which a later delivery may give
@@ -118,14 +119,23 @@ def scatter(args: Mapping[str, Any], context: Context) -> Produced:
     table, i, j = table.take(order), i[order], j[order]
     starts = [0, *(np.flatnonzero((np.diff(i) != 0) | (np.diff(j) != 0)) + 1).tolist()]
     path = context.store.path("scatter", f"{args['stretch']}.parquet")
-    write_table(path, table, group_starts=starts, sought=())
     ends = [*starts[1:], len(table)]
+    write_table(path, table, group_starts=_group_starts(ends), sought=())
     if len(table):
-        facts["tiles"] = {
-            f"{i[a]}_{j[a]}": [group, b - a]
-            for group, (a, b) in enumerate(zip(starts, ends, strict=True))
-        }
+        facts["tiles"] = {f"{i[a]}_{j[a]}": [a, b - a] for a, b in zip(starts, ends, strict=True)}
     return Produced([path, *outputs], facts, len(table))
+
+
+def _group_starts(ends: Sequence[int]) -> list[int]:
+    """First row of each row group, by the end of each tile: small tiles share one.
+
+    Whoever reads a tile reads the footer, which is as long as there are groups.
+    """
+    starts = [0]
+    for end, following in pairwise(ends):
+        if following - starts[-1] > GROUP_POINTS:
+            starts.append(end)
+    return starts
 
 
 def build_tile(args: Mapping[str, Any], context: Context) -> Produced:
@@ -136,8 +146,8 @@ def build_tile(args: Mapping[str, Any], context: Context) -> Produced:
     each flightline, and a finding names those that are copies.
     """
     pieces = [
-        read_table(context.store.path("scatter", f"{stretch}.parquet"), TILE_COLUMNS, [group])
-        for stretch, group in args["pieces"]
+        read_rows(context.store.path("scatter", f"{stretch}.parquet"), TILE_COLUMNS, first, count)
+        for stretch, first, count in args["pieces"]
     ]
     table = concat(pieces, TILE_COLUMNS)
     alike: tuple[str, ...] = (*ALIKE, "line") if args["by_line"] else ALIKE

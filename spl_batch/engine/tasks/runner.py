@@ -212,13 +212,14 @@ def _failed(task: Task, key: str, error: BaseException, wall_s: float) -> Receip
 def do(job: Job, context: RunContext[Any], needed: Iterable[Outcome] = ()) -> Outcome:
     """Do a job, unless it turns out to be finished, or to miss what it cannot be done without.
 
-    ``needed``: what has come of the jobs that it waited for.
+    ``needed``: what has come of the jobs that it waited for, and others of its batch.
     """
     task, key = job.task, job.key
     if not key:
-        if any(one.again is not None and one.need in job.open for one in needed):
+        own = [one for one in needed if one.need in job.open]
+        if any(one.again is not None for one in own):
             return Outcome(job.need, None, again=job.tried)
-        made = {o.need: o.receipt.digest for o in needed if o.receipt and not o.receipt.failed}
+        made = {o.need: o.receipt.digest for o in own if o.receipt and not o.receipt.failed}
         found = {**job.found, **made}
         bound = _step(task, context).bound(task, found)
         if bound is None:

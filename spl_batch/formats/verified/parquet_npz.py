@@ -246,9 +246,20 @@ def read_with(
                 yield read_groups(file, names, [group])
 
 
-def read_table(path: Path, names: Sequence[str], groups: Sequence[int] | None = None) -> PointTable:
-    """Read a table, or some row groups of it; see :func:`read_columns`."""
-    return PointTable(read_columns(path, names, groups))
+def read_table(path: Path, names: Sequence[str]) -> PointTable:
+    """Read a table; see :func:`read_columns`."""
+    return PointTable(read_columns(path, names))
+
+
+def read_rows(path: Path, names: Sequence[str], first: int, count: int) -> PointTable:
+    """Read so many rows of a table from some row on."""
+    with reading(path) as file:
+        groups = map(file.metadata.row_group, range(file.num_row_groups))
+        ends = np.cumsum([group.num_rows for group in groups])
+        low, high = np.searchsorted(ends, [first, first + count - 1], side="right").tolist()
+        table = PointTable(read_groups(file, names, range(low, high + 1)))
+        start = first - (int(ends[low - 1]) if low else 0)
+        return table.take(slice(start, start + count))
 
 
 def group_ranges(path: Path, name: str) -> list[tuple[int, int]]:
