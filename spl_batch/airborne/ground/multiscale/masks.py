@@ -92,6 +92,7 @@ def multiscale_mask(places: Place, own: Mask, asked: Mask, sigma: Blocks = EVERY
     depths = noise_below(depths_below(off_m, x[at], y[at], depths))
     # Halves of heights: layers of twice the thickness are counted.
     heights = depths_below(-0.5 * off_m, x[at], y[at], no_depths(*evidence[:2]))
+    # As thick as ranges scatter, or rough soil, where that layer ends: grass goes on.
     told_m = sigma.over(depths.first, depths.values.shape[:2])
     sigma_m = BARE * told_m
     for thick_m in (told_m, np.maximum(told_m, rough_m)):
