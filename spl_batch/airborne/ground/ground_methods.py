@@ -238,8 +238,9 @@ def _multiscale(cloud: Cloud, _: GroundSettings) -> Mask:
     points, own, asked, sigma_m = cloud
     if sigma_m is None:
         return multiscale_mask(points, own, asked)
-    x, y, _ = cloud.some(own)
-    return multiscale_mask(points, own, asked, largest_of(x, y, sigma_m[own], SIGMA_M))
+    some = cloud.some(own)
+    sigma = largest_of(some.x, some.y, sigma_m[own], SIGMA_M)
+    return multiscale_mask(points, own, asked, sigma)
 
 
 def _by_ptd(cloud: Cloud, settings: GroundSettings) -> Mask:

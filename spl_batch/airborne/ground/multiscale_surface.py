@@ -28,8 +28,9 @@ from scipy import ndimage, special
 from spl_batch.airborne.ground.lowest_layers import ENDS
 from spl_batch.airborne.ground.morphology import object_cells
 from spl_batch.airborne.ground.node_grids import lowest_nodes, plane_heights
-from spl_batch.airborne.ground.point_spacing import BLOCK_M, Blocks, no_counts, quantiles
+from spl_batch.airborne.ground.point_spacing import Blocks, no_counts, quantiles
 from spl_batch.airborne.ground.scales import (
+    BLOCK_M,
     CELL_M,
     LEVELS,
     SIGMA_M,
