@@ -16,24 +16,15 @@ from spl_batch.airborne.beams.dependent_returns import dependents
 from spl_batch.airborne.ground.ground_seeds import Start, believed, first_true, start
 from spl_batch.airborne.ground.lowest_layers import lowest_layers
 from spl_batch.airborne.ground.multiscale.masks import multiscale_mask
-from spl_batch.airborne.ground.multiscale.ranging_layer import (
-    EVERYWHERE,
-    SIGMA_M,
-    evidence,
-    reckoned,
-)
 from spl_batch.airborne.ground.node_grids import lowest_nodes
-from spl_batch.airborne.ground.point_spacing import Blocks, spacings_m
+from spl_batch.airborne.ground.point_spacing import Blocks, largest_of, spacings_m
 from spl_batch.airborne.ground.ptd import Limits, densify, heights_above
+from spl_batch.airborne.ground.scales import SIGMA_M
 from spl_batch.airborne.ground.smrf import provisional_terrain
 from spl_batch.airborne.settings import GroundSettings, PtdSettings, SmrfSettings
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.tables import PointTable
 from spl_batch.numerics.cell_groups import group_by_cell
-
-_INSERT_M = 0.05
-"""Nearer candidates leave the surface as it is: a third of the ranging noise of one
-point, and more than that of a layer's mean [m]."""
 
 _FILLED = 2.0
 """Points in an occupied cell below which the candidates' grid is doubled [count]."""
@@ -174,7 +165,7 @@ def _limits(settings: PtdSettings) -> Limits:
         float(np.sin(np.radians(settings.iteration_angle_deg))),
         settings.iteration_distance_m,
         settings.spread_m,
-        _INSERT_M,
+        SIGMA_M,
     )
 
 
@@ -245,9 +236,10 @@ def _steepness(terrain: Float, cell_m: float) -> Float:
 def _multiscale(cloud: Cloud, _: GroundSettings) -> Mask:
     """By a surface whose scale follows the data."""
     points, own, asked, sigma_m = cloud
-    sigma = EVERYWHERE
-    if sigma_m is not None and sigma_m[own].max() > SIGMA_M:
-        sigma = reckoned(evidence(*cloud.some(own), sigma_m[own]))
+    if sigma_m is None:
+        return multiscale_mask(points, own, asked)
+    some = cloud.some(own)
+    sigma = largest_of(some.x, some.y, sigma_m[own], SIGMA_M)
     return multiscale_mask(points, own, asked, sigma)
 
 

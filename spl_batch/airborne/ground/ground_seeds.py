@@ -14,7 +14,8 @@ from spl_batch.airborne.ground.lowest_layers import SUPPORTED, Nodes, continued,
 from spl_batch.airborne.ground.morphology import object_cells
 from spl_batch.airborne.ground.multiscale_surface import low_outliers
 from spl_batch.airborne.ground.node_grids import lowest_nodes, nearest_node
-from spl_batch.airborne.ground.pits import PIT_REACH_M, in_pits
+from spl_batch.airborne.ground.pits import in_pits
+from spl_batch.airborne.ground.scales import BESIDE_M
 from spl_batch.airborne.settings import PtdSettings
 from spl_batch.numerics.cell_groups import Cells, group_by_cell
 
@@ -84,7 +85,7 @@ def believed(nodes: Nodes, cells: Cells, cell_m: float) -> Mask:
 def sunk(nodes: Nodes, cells: Cells, cell_m: float) -> Mask:
     """Nodes below a hard surface in their cell, or in a pit of a smooth one around it."""
     pit = np.empty(len(nodes.cell), dtype=np.bool_)
-    reach = max(round(PIT_REACH_M / cell_m), 1)
+    reach = max(round(BESIDE_M / cell_m), 1)
     asked, grid = nodes.points < SUPPORTED, (cells.rows, cells.columns)
     in_pits(nodes.xyz, nodes.cell, asked, nodes.doubtful, *grid, reach, pit)
     return pit | nodes.buried

@@ -16,17 +16,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.ground.scales import WIDE_M
 from spl_batch.airborne.ground.smrf import fill_gaps
 from spl_batch.numerics.cell_groups import group_by_cell
 from spl_batch.numerics.compiled import njit
 
-STEP_M = 4.0
-"""Edge of the lattice [m]."""
-
 REACH_M = 12.0
 """Ground up to this far from a lattice node counts there: a crown seldom hides as much [m]."""
 
-_FAR_M = 6.0
+_FAR_M = REACH_M / 2
 """Where the ground's centre is farther than this from a lattice node its plane is not carried on
 [m]."""
 
@@ -68,12 +66,12 @@ def fit_trend(ground: Float, x: Float, y: Float) -> Trend:
     Trend
         Where no ground is near, a TIN through the rims of that gap, and level beyond them.
     """
-    left, bottom = (int(np.floor(v.min() / STEP_M)) for v in (x, y))
-    right, top = (int(np.floor(v.max() / STEP_M)) + 1 for v in (x, y))
+    left, bottom = (int(np.floor(v.min() / WIDE_M)) for v in (x, y))
+    right, top = (int(np.floor(v.max() / WIDE_M)) + 1 for v in (x, y))
     height = np.empty((top - bottom + 1, right - left + 1))
     east, north = ground[:, :2].T.copy()
-    cells = group_by_cell(east, north, STEP_M)
-    west, south = (int(np.floor(v.min() / STEP_M)) for v in (east, north))
+    cells = group_by_cell(east, north, WIDE_M)
+    west, south = (int(np.floor(v.min() / WIDE_M)) for v in (east, north))
     _planes(
         ground[cells.order], cells.start, (south, west, cells.rows, cells.columns),
         (bottom, left), float(ground[0, 2]), height,
@@ -97,7 +95,7 @@ def _planes(
     ``ground`` lies cell by cell, ``start`` is where each begins; ``cells`` are the row and column
     of the first one and how many there are, ``corner`` those of the first lattice node.
     """
-    span = int(np.ceil(REACH_M / STEP_M))
+    span = int(np.ceil(REACH_M / WIDE_M))
     south, west, rows, columns = cells
     for r in range(len(out)):
         for c in range(out.shape[1]):
@@ -110,8 +108,8 @@ def _planes(
                 continue
             for k in range(max(row - span, 0), min(row + span, rows)):
                 for i in range(start[k * columns + first], start[k * columns + last]):
-                    dx = ground[i, 0] - (c + corner[1]) * STEP_M
-                    dy = ground[i, 1] - (r + corner[0]) * STEP_M
+                    dx = ground[i, 0] - (c + corner[1]) * WIDE_M
+                    dy = ground[i, 1] - (r + corner[0]) * WIDE_M
                     nearness = 1.0 - (dx * dx + dy * dy) / REACH_M**2
                     if nearness > 0.0:
                         w, dz = nearness * nearness, ground[i, 2] - base
@@ -147,7 +145,7 @@ def trend_at(trend: Trend, x: Float, y: Float) -> Float:
     """
     out = np.empty(len(x))
     for i in range(len(x)):
-        u, v = x[i] / STEP_M - trend.left, y[i] / STEP_M - trend.bottom
+        u, v = x[i] / WIDE_M - trend.left, y[i] / WIDE_M - trend.bottom
         c, r = int(np.floor(u)), int(np.floor(v))
         u -= c
         v -= r

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.ground.scales import BESIDE_M, CELL_M, DEPTH_M, MOST
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.numerics.cell_groups import Cells
 from spl_batch.numerics.compiled import njit
@@ -20,22 +21,24 @@ SUPPORTED = 3
 """Points that make a layer trustworthy by itself [count]."""
 
 _CROWDED = 10
-"""Points in a cell above which a layer of one or two is doubtful [count]."""
+"""Points in a cell from which on a layer of one or two is doubtful, and one that goes on is seen to
+[count]."""
 
-_SHEET_POINTS = 6
+_SHEET_POINTS = 2 * SUPPORTED
 _SHEET_M = 0.8
-_SHEET_SHARE = 0.75
 _CLEAR_M = 1.5
 """A sheet is a hard surface, roof or bare ground: this many points in this thickness, as a
-tilt of 35 degrees gives it in a cell of 1 m, and this share of what lies between the node
-below it and this height above it. Leaves fill twice the thickness, and do not pass."""
+tilt of 35 degrees gives it in a cell of 1 m, and most of what lies between the node below it and
+this height above it. Leaves fill twice the thickness, and do not pass."""
+
+ENDS = 0.25
+"""A layer ends if the next one, as thick, holds at most this share of its points: more in grass."""
 
 _AGREEING = 2
-_REACH = 2
-_STEP_M = 0.25
+_REACH = round(BESIDE_M / CELL_M)
 _STEP_SLOPE = 0.35
-"""So many nodes of other cells, up to so many cells off, continue one within so much and so much
-more for each unit of distance [count, edges, m, rise/run]."""
+"""So many nodes of other cells, up to so many cells off, continue one within this depth and so much
+more for each unit of distance [count, edges, rise/run]."""
 
 Mask = NDArray[np.bool_]
 
@@ -71,6 +74,8 @@ def lowest_layers(
     z: NDArray[np.float64],
     cells: Cells,
     thickness_m: float | NDArray[np.float64],
+    *,
+    thinnest: float = 1.0,
 ) -> Nodes:
     """Nodes of a cloud: the lowest layer of each cell, and the lowest well-filled one.
 
@@ -82,6 +87,9 @@ def lowest_layers(
         The same points, grouped.
     thickness_m : float or (cells,) float64
         Thickness of a layer, or that of each cell [m].
+    thinnest : float
+        Share of it that a layer has which does not end there, as in grass, where cells are full
+        enough to show it.
     """
     most = 2 * len(cells.start)
     thick = np.full(len(cells.start) - 1, thickness_m)
@@ -89,7 +97,7 @@ def lowest_layers(
     count, doubtful = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.bool_)
     buried = np.empty(most, dtype=np.bool_)
     used = _lowest_layers(
-        x, y, z, cells.order, cells.start, thick, xyz, cell, count, doubtful, buried
+        x, y, z, cells.order, cells.start, thick, thinnest, xyz, cell, count, doubtful, buried
     )
     return Nodes(xyz[:used], cell[:used], count[:used], doubtful[:used], buried[:used])
 
@@ -102,6 +110,7 @@ def _lowest_layers(
     order: NDArray[np.int64],
     start: NDArray[np.int64],
     thick: NDArray[np.float64],
+    thinnest: float,
     xyz: NDArray[np.float64],
     cell: NDArray[np.int64],
     count: NDArray[np.int64],
@@ -132,7 +141,10 @@ def _lowest_layers(
             if bottom < 0:
                 continue
             low = heights[bottom] if bottom > 0 else low
-            count[used] = _layer_mean(own, low, thickness, xyz[used])
+            layer_m = thickness
+            if n >= _CROWDED and not _ends(own[2], low, thickness):
+                layer_m = thinnest * thickness
+            count[used] = _layer_mean(own, low, layer_m, xyz[used])
             cell[used] = c
             doubtful[used] = n >= _CROWDED and count[used] < SUPPORTED
             buried[used] = False
@@ -161,6 +173,16 @@ def _is_filled(z: NDArray[np.float64], low: float, thickness: float) -> bool:
 
 
 @njit()
+def _ends(z: NDArray[np.float64], low: float, thickness: float) -> bool:
+    """Whether few points lie right above the layer on a height."""
+    once = twice = 0
+    for k in range(len(z)):
+        once += low <= z[k] <= low + thickness
+        twice += low + thickness < z[k] <= low + 2.0 * thickness
+    return twice <= ENDS * once
+
+
+@njit()
 def _two_layers(heights: NDArray[np.float64], thickness: float) -> tuple[int, int]:
     """Bottom of the lowest layer, and of a higher one with enough points (or -1)."""
     n = len(heights)
@@ -182,7 +204,7 @@ def _below_sheet(heights: NDArray[np.float64], first: int) -> bool:
             continue
         while clear < len(heights) and heights[clear] <= heights[i] + _SHEET_M + _CLEAR_M:
             clear += 1
-        if end - i >= _SHEET_SHARE * (clear - first):
+        if end - i >= MOST * (clear - first):
             return True
     return False
 
@@ -246,5 +268,5 @@ def _continued(
                 for j in range(first[other], first[other + 1]):
                     d = np.sqrt((xyz[j, 0] - xyz[i, 0]) ** 2 + (xyz[j, 1] - xyz[i, 1]) ** 2)
                     if d <= _REACH * cell_m:
-                        count += abs(xyz[j, 2] - xyz[i, 2]) <= _STEP_M + _STEP_SLOPE * d
+                        count += abs(xyz[j, 2] - xyz[i, 2]) <= DEPTH_M + _STEP_SLOPE * d
         out[i] = count >= _AGREEING

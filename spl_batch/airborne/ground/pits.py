@@ -11,7 +11,7 @@ Leaves scatter, but of the thousands of places where ground is seen through a cr
 of twelve heights agree by chance, metres above. What is asked depends on how far above the node
 they agree:
 
-- up to :data:`_LEAVES_M`, lower than crowns begin, heights above those that agree are of leaves
+- up to :data:`WALL_M`, lower than crowns begin, heights above those that agree are of leaves
   over the same ground and say nothing: a pit at the edge of a crown is one;
 - farther up, all heights count, and a node below many returns of its own cell, as ground seen
   through a crown is, needs agreement among nodes that are not such single returns themselves:
@@ -28,28 +28,14 @@ After the low-point tests of ground filters (isolated points below all neighbour
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.ground.scales import DEPTH_M, ROUGH_M, WALL_M
 from spl_batch.numerics.compiled import njit
-
-PIT_REACH_M = 2.0
-"""Neighbours up to this far on each side, but in cells next to it at least [m]."""
-
-_AGREE_M = 0.4
-"""Heights of pairs agree within this: ranging spread and roughness of a meadow [m]."""
-
-PIT_DEPTH_M = 0.25
-"""A pit is deeper than this below the lowest of the agreeing heights, or below the plane [m]."""
-
-_OWN_M = 0.2
-"""Pairs within this of the node's height speak for it [m]."""
 
 _OUTVOTE = 6
 """Agreeing pairs for each that speaks for the node: along a ditch, two do [count]."""
 
 _ENOUGH = 4
 """Agreeing pairs that make a surface: at least these, and half of those that count [count]."""
-
-_LEAVES_M = 2.0
-"""Leaves of a crown are seldom this near to the ground below them [m]."""
 
 
 @njit()
@@ -141,10 +127,12 @@ def _below(height: NDArray[np.float64], firm: NDArray[np.int64], z: float, share
     pairs = len(height)
     if pairs < _ENOUGH:
         return False
+    # Heights of pairs agree within twice what a rough meadow scatters; within once of the node's
+    # own height they speak for it. A pit is deeper than what one surface scatters.
     own = higher = 0
     for h in height:
-        own += abs(h - z) <= _OWN_M
-        higher += h > z + PIT_DEPTH_M
+        own += abs(h - z) <= ROUGH_M
+        higher += h > z + DEPTH_M
     if higher < max(_ENOUGH, _OUTVOTE * own):
         return False
     for i in range(1, pairs):  # pairs are few
@@ -156,12 +144,12 @@ def _below(height: NDArray[np.float64], firm: NDArray[np.int64], z: float, share
     end = ends = 0
     for first in range(pairs):
         low = height[first]
-        while end < pairs and height[end] <= low + _AGREE_M:
+        while end < pairs and height[end] <= low + 2.0 * ROUGH_M:
             ends += firm[end]
             end += 1
         agreeing = end - first
-        if agreeing >= max(_ENOUGH, _OUTVOTE * own) and low > z + PIT_DEPTH_M:
-            near = low <= z + _LEAVES_M and 2 * agreeing >= end
+        if agreeing >= max(_ENOUGH, _OUTVOTE * own) and low > z + DEPTH_M:
+            near = low <= z + WALL_M and 2 * agreeing >= end
             if near or (2 * agreeing >= pairs and ends >= share * agreeing):
                 return True
         ends -= firm[first]

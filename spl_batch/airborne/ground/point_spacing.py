@@ -3,15 +3,14 @@
 Ground cells agree on blocks where they overlap, and counts of parts of a cell add up.
 """
 
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
+from spl_batch.airborne.ground.scales import BLOCK_M
 from spl_batch.numerics.cell_groups import group_by_cell
-
-BLOCK_M: Final = 16.0
-"""Edge of the blocks [m]: those without points are voids."""
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -74,6 +73,14 @@ def spacings_m(x: Float, y: Float) -> Blocks:
     spacing = BLOCK_M * np.sqrt(np.maximum(held, 1) / np.maximum(points, 1))
     bottom, left = (int(np.floor(v.min() / BLOCK_M)) - 2 for v in (y, x))
     return Blocks(spacing, (bottom, left))
+
+
+def largest_of(x: Float, y: Float, values: Places, least: float) -> Blocks:
+    """Largest value of n > 0 places in each block and those around, or the least one if larger."""
+    found = no_counts(x, y, 1)
+    most = np.full(found.values.shape[:2], least)
+    np.maximum.at(most, found.numbers(x, y), values)
+    return Blocks(ndimage.maximum_filter(most, 3), found.first)
 
 
 def quantiles(counts: NDArray[Any], share: float) -> Float:

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from spl_batch.airborne.ground.ground_trend import REACH_M, STEP_M, fit_trend, trend_at
+from spl_batch.airborne.ground.ground_trend import REACH_M, fit_trend, trend_at
+from spl_batch.airborne.ground.scales import WIDE_M
 from tests.airborne.ground.clouds import places
 
 Float = NDArray[np.float64]
@@ -36,7 +37,7 @@ def test_lattice_heights_agree_with_the_slow_twin() -> None:
     trend = fit_trend(ground, x, y)
     for row in (2, 7, 12):
         for column in (0, 5, 14):
-            at = (trend.left + column) * STEP_M, (trend.bottom + row) * STEP_M
+            at = (trend.left + column) * WIDE_M, (trend.bottom + row) * WIDE_M
             expected = slow_height(ground, *at)
             assert trend.height[row, column] == pytest.approx(expected, abs=1e-6)
             found = trend_at(trend, *(np.array([v]) for v in at))
@@ -49,7 +50,7 @@ def test_what_lies_beyond_its_reach_does_not_count() -> None:
     ground = np.column_stack([x, y, 30 * np.sin(x / 20) + y])
     part = x < 80
     whole, left = fit_trend(ground, x, y), fit_trend(ground[part], x[part], y[part])
-    near = x < 80 - REACH_M - STEP_M
+    near = x < 80 - REACH_M - WIDE_M
     difference = trend_at(whole, x[near], y[near]) - trend_at(left, x[near], y[near])
     assert np.abs(difference).max() < 1e-9
 

@@ -7,30 +7,29 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
 from spl_batch.airborne.ground.ground_trend import fit_trend, trend_at
 from spl_batch.airborne.ground.multiscale.grown_ground import (
-    APART_M,
-    APART_SLOPE,
-    ASIDE_M,
-    CLIFF_M,
-    CONTOUR_M,
     EAVE_M,
     EDGE_M,
     ISLAND,
-    NEAR_M,
-    ROUGH_M,
     ROUNDS,
-    STEEP,
-    TILT,
-    UNEVEN,
-    WALL_M,
     barred,
     edges,
     grown,
 )
 from spl_batch.airborne.ground.multiscale.node_planes import LEAST, nearest_nodes, on_one_side
 from spl_batch.airborne.ground.node_grids import lowest_nodes, nearest_node
+from spl_batch.airborne.ground.scales import (
+    APART_M,
+    BESIDE_M,
+    HIGH_M,
+    LAYER_M,
+    NARROW_M,
+    ROUGH_M,
+    STEEP,
+    TILT,
+    WIDE_M,
+)
 from tests.airborne.ground.clouds import ground_of, table
 from tests.airborne.ground.test_node_planes import slow_plane
 
@@ -104,7 +103,7 @@ def test_nodes_between_two_steps_are_those_of_a_slow_twin(seed: int, stretched: 
     roof, even = barred(xyz, grid, ground, 1.0)
     trend = fit_trend(xyz[ground], xyz[:, 0], xyz[:, 1])
     east, north = (
-        trend_at(trend._replace(height=np.gradient(trend.height, TREND_M, axis=a)), *xyz[:, :2].T)
+        trend_at(trend._replace(height=np.gradient(trend.height, WIDE_M, axis=a)), *xyz[:, :2].T)
         for a in (1, 0)
     )
     height = np.where(grid >= 0, xyz[grid, 2], np.nan)
@@ -117,11 +116,11 @@ def test_nodes_between_two_steps_are_those_of_a_slow_twin(seed: int, stretched: 
         along = np.array([-east[node], north[node]]) / tilt[*cell]
         stands = (
             tilt[*cell] > TILT
-            and np.hypot(*(known - cell).T).min() <= CONTOUR_M
+            and np.hypot(*(known - cell).T).min() <= WIDE_M
             and off[*cell] > EAVE_M / 2
-            and 0 < min(_fall_m(off, height, cell, way * along) for way in (1, -1)) < CLIFF_M
+            and 0 < min(_fall_m(off, height, cell, way * along) for way in (1, -1)) < HIGH_M
         )
-        low, high = np.maximum(cell - round(ASIDE_M), 0), cell + round(ASIDE_M) + 1
+        low, high = np.maximum(cell - round(NARROW_M), 0), cell + round(NARROW_M) + 1
         level = tilt[low[0] : high[0], low[1] : high[1]].max() <= TILT
         assert (roof[*cell], even[*cell]) == (stands, level)
         ends += stands
@@ -131,7 +130,7 @@ def test_nodes_between_two_steps_are_those_of_a_slow_twin(seed: int, stretched: 
 def _fall_m(off: Float, height: Float, cell: NDArray[np.int64], way: Float) -> float:
     """How far below the cell the way lies just behind its first step down; 0 without one."""
     passed = {}
-    for step in range(round(ASIDE_M) + round(EDGE_M) + 1):
+    for step in range(round(NARROW_M) + round(BESIDE_M) + 1):
         at = np.rint(cell + step * way).astype(int)
         if (at < 0).any() or (at >= off.shape).any():
             break
@@ -140,16 +139,16 @@ def _fall_m(off: Float, height: Float, cell: NDArray[np.int64], way: Float) -> f
     steps = [
         step
         for step, (here, _) in passed.items()
-        if step <= ASIDE_M
+        if step <= NARROW_M
         and any(
             here <= min(off[*cell], passed[back][0]) - EAVE_M
-            for back in range(step - round(EDGE_M), step)
+            for back in range(step - round(BESIDE_M), step)
             if back in passed
         )
     ]
     if not steps:
         return 0.0
-    feet = [z for step, (_, z) in passed.items() if steps[0] <= step <= steps[0] + EDGE_M]
+    feet = [z for step, (_, z) in passed.items() if steps[0] <= step <= steps[0] + BESIDE_M]
     return max(float(height[*cell] - min(feet)), EAVE_M)
 
 
@@ -206,11 +205,11 @@ def test_ground_grows_up_no_shrub_but_to_crests_and_rims(behind_m: float, *, gro
     weight[x == 0] = 0.0
 
     def grown_to(wall_m: float) -> bool:
-        limits = (NEAR_M, UNEVEN), (ROUGH_M, UNEVEN), (STEEP, np.inf)
+        limits = (LAYER_M, TILT), (ROUGH_M, TILT), (STEEP, np.inf)
         return on_one_side(xyz, near, weight, node, *limits, wall_m)
 
     assert grown_to(0.0)
-    assert grown_to(WALL_M) == grows
+    assert grown_to(EDGE_M) == grows
 
 
 def _grown(xyz: Float, grid: NDArray[np.int64], ground: Mask) -> Mask:
@@ -235,7 +234,7 @@ def _grown(xyz: Float, grid: NDArray[np.int64], ground: Mask) -> Mask:
     for i in graph:
         for j in order[i][:8]:
             apart = np.hypot(*(xyz[i, :2] - xyz[j, :2]))
-            if ground[j] and abs(xyz[i, 2] - xyz[j, 2]) <= max(APART_M, APART_SLOPE * apart):
+            if ground[j] and abs(xyz[i, 2] - xyz[j, 2]) <= max(APART_M, STEEP * apart):
                 part[root(i)] = root(j)
     size = Counter(root(i) for i in graph)
     level = {i for i in graph if size[root(i)] >= ISLAND}
@@ -264,8 +263,8 @@ def _goes_on(
         side = np.array([j for j in order[ahead] if j in ground], dtype=int)
         if len(side):
             counted, above, slope, scatter = slow_plane(xyz, np.ones(len(xyz)), i, side)
-            uneven_m = UNEVEN * slope if least else 0.0
+            uneven_m = TILT * slope if least else 0.0
             if counted >= LEAST and scatter <= ROUGH_M + uneven_m:
-                denied[(k + 4) % 8] = NEAR_M + uneven_m < above < WALL_M
-                fits[k] = above <= NEAR_M + uneven_m and least <= slope <= most
+                denied[(k + 4) % 8] = LAYER_M + uneven_m < above < EDGE_M
+                fits[k] = above <= LAYER_M + uneven_m and least <= slope <= most
     return bool((fits & ~denied).any())

@@ -22,6 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from spl_batch.airborne.ground.lowest_layers import SUPPORTED
+from spl_batch.airborne.ground.scales import DEPTH_M, SIGMA_M
+from spl_batch.airborne.ground.scales import LAYER_M as RETURN_M
 from spl_batch.lattice.tables import PointFlag, PointTable
 from spl_batch.lattice.tiles import cell_index, quanta
 
@@ -34,21 +37,19 @@ REACH_CELLS: Final = 5
 REACH_M: Final = (REACH_CELLS + 1) * CELL_M
 """How far the level of a place looks, at most [m]."""
 
-LAYER_M: Final = 0.3
-"""Thickness of the top layer: three ranging spreads on each side [m]."""
+LAYER_M: Final = 2 * RETURN_M
+"""Thickness of the top layer: returns above and below the surface [m]."""
 
-TOP_COUNT: Final = 3
+TOP_COUNT: Final = SUPPORTED
 TOP_SHARE: Final = 0.05
 """Returns that make a layer: so many, and so much of the cell."""
 
-AGREE_M: Final = 0.25
-"""Tops of neighbouring cells of one water differ by no more: a fall of a twentieth [m]."""
+NEAR_M: Final = DEPTH_M
+"""Returns farther from the level are no surface, and tops of neighbouring cells of one water differ
+by no more, as with a fall of a twentieth [m]."""
 
-NEAR_M: Final = 0.25
-"""Returns farther from the level are no surface: five ranging spreads [m]."""
-
-APART_M: Final = 0.05
-"""Levels of all that was returned and of its ground differ by no more: a ranging spread [m]."""
+APART_M: Final = SIGMA_M
+"""Levels of all that was returned and of its ground differ by no more [m]."""
 
 NOWHERE: Final = -(2**40)
 """A level below everything [quanta]."""
@@ -203,7 +204,7 @@ def _median_around(tops: Float, place: tuple[Heights, Heights], *, beyond: bool)
         return np.where(same, grid[at], np.nan).reshape(len(values), -1)
 
     beside = around(tops, 1, water)
-    alike = np.count_nonzero(np.abs(beside - tops[:, None]) <= quanta(AGREE_M), axis=1) - 1
+    alike = np.count_nonzero(np.abs(beside - tops[:, None]) <= quanta(NEAR_M), axis=1) - 1
     others = np.count_nonzero(~np.isnan(beside), axis=1) - 1
     agreed = np.where(3 * alike >= others, tops, np.nan)
     near = around(agreed, REACH_CELLS, water)

@@ -30,8 +30,8 @@ from spl_batch.airborne.ground.water.level import (
 from spl_batch.lattice.tables import PointFlag, PointTable
 from spl_batch.lattice.tiles import cell_index, quanta
 
-LAND_CELL_M: Final = 2.5
-"""Edge of the absolute cells in which land is dense [m]; whole ones make up one of a level."""
+LAND_CELL_M: Final = CELL_M / 2
+"""Edge of the absolute cells in which land is dense [m]."""
 
 PATCH_CELLS: Final = 9
 """Cells over which land hangs together: those that a boat of 5 m may touch [count]."""

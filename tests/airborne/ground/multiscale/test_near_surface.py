@@ -6,7 +6,6 @@ from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
 from spl_batch.airborne.ground.multiscale.near_surface import (
-    BAND_M,
     SLOPE_M,
     Near,
     near_surface,
@@ -14,7 +13,8 @@ from spl_batch.airborne.ground.multiscale.near_surface import (
     surface_of,
     within,
 )
-from spl_batch.airborne.ground.point_spacing import BLOCK_M, Blocks
+from spl_batch.airborne.ground.point_spacing import Blocks
+from spl_batch.airborne.ground.scales import BLOCK_M
 from spl_batch.numerics.triangulation.tin import interpolate, vertex_slopes
 
 Float = NDArray[np.float64]
@@ -93,7 +93,7 @@ def test_points_within_the_band_are_those_of_the_formula() -> None:
         square = np.clip(np.floor([y[i] / BLOCK_M, x[i] / BLOCK_M + 1]), 0, [4, 3]).astype(int)
         block = np.clip(np.floor([y[i] / BLOCK_M, x[i] / BLOCK_M - 1]), 0, [2, 3]).astype(int)
         apart, reach = spacing[*square], (above if up > 0 else below)[*block]
-        band = min(max(reach, 0.25 * apart), BAND_M) + min(apart, SLOPE_M) * rise
+        band = max(reach, 0.25 * apart) + min(apart, SLOPE_M) * rise
         expected[i] = abs(up) <= band
     assert 0.2 < expected[at].mean() < 0.8
     assert np.array_equal(found, expected[at])
