@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+from numba import types
 from numba.core.dispatcher import Dispatcher
 
 from spl_batch import api
@@ -41,12 +42,24 @@ def main() -> int:
                 print(f"{name}: called with {found.get(name)}, listed with {known.get(name)}")
         return int(found != known)
     target = Path(str(files("spl_batch.airborne") / "signatures.json"))
-    target.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    texts = {name: ",\n  ".join(map(json.dumps, listed)) for name, listed in found.items()}
+    listed = (f' "{name}": [\n  {text}\n ]' for name, text in texts.items())
+    target.write_text("{\n" + ",\n".join(listed) + "\n}\n", encoding="utf-8")
     print(f"{target}: {len(found)} kernels")
     return 0
 
 
-def called(workflow: Path) -> dict[str, list[str]]:
+def written(one: types.Type) -> Any:
+    """Type of an argument as :func:`~spl_batch.airborne.precompile.parse` takes it."""
+    if isinstance(one, types.Array):
+        return ["array" if one.mutable else "readonly", str(one.dtype), one.ndim, one.layout]
+    if isinstance(one, types.BaseTuple):
+        members = one.types  # type: ignore[attr-defined]
+        return [getattr(one, "instance_class", tuple).__name__, *map(written, members)]
+    return str(one)
+
+
+def called(workflow: Path) -> dict[str, list[list[Any]]]:
     """Types of the arguments of each kernel that a run calls from Python, by its name."""
     found: dict[str, set[str]] = {}
     first_call = Dispatcher._compile_for_args  # type: ignore[attr-defined]  # noqa: SLF001
@@ -59,8 +72,8 @@ def called(workflow: Path) -> dict[str, list[str]]:
             module.startswith("spl_batch.")
         ):
             name = f"{module}:{kernel.py_func.__name__}"
-            types = "; ".join(str(kernel.typeof_pyval(arg)) for arg in args)
-            found.setdefault(name, set()).add(types)
+            passed = [written(kernel.typeof_pyval(arg)) for arg in args]
+            found.setdefault(name, set()).add(json.dumps(passed))
         return result
 
     with (
@@ -68,7 +81,7 @@ def called(workflow: Path) -> dict[str, list[str]]:
         mock.patch.object(summarise, "make_pictures", return_value={}),  # they call none
     ):
         api.run(workflow, workers=0)
-    return {name: sorted(found[name]) for name in sorted(found)}
+    return {name: [json.loads(one) for one in sorted(found[name])] for name in sorted(found)}
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ import contextlib
 import importlib
 import json
 import os
-import re
 import subprocess
 import sys
 import tempfile
@@ -27,16 +26,14 @@ from numba.core.dispatcher import Dispatcher
 from spl_batch.errors import StoppedError
 from spl_batch.numerics.compiled import is_kept
 
-_ARRAY: Final = re.compile(r"(readonly )?array\((\w+), (\d)d, ([ACF])\)")
-
 WATCHED: Final = "watched"
 """Argument of the process that compiles: it ends when its standard input does."""
 
 
-def signatures() -> dict[str, list[str]]:
-    """Types of the arguments of each kernel, by module and name."""
+def signatures() -> dict[str, list[list[Any]]]:
+    """Types of the arguments of each kernel, by module and name, as :func:`parse` takes them."""
     text = (files("spl_batch.airborne") / "signatures.json").read_text(encoding="utf-8")
-    found: dict[str, list[str]] = json.loads(text)
+    found: dict[str, list[list[Any]]] = json.loads(text)
     return found
 
 
@@ -72,7 +69,7 @@ def compile_share(share: int, shares: int, tell: Tell = _tell_nobody) -> int:
     listed = signatures()
     names = divided(listed, shares)[share]
     ready = all(
-        is_kept(find(name), parse(text, find(name))) for name in names for text in listed[name]
+        is_kept(find(name), parse(stored, find(name))) for name in names for stored in listed[name]
     )
     compiled = 0 if ready else _elsewhere(share, shares, tell)
     return compiled + _compile(share, shares, _tell_nobody)
@@ -134,9 +131,9 @@ def _compile(share: int, shares: int, tell: Tell) -> int:
         tell(len(ready), whole)
         ready |= kernels
         kernel = find(name)
-        for text in listed[name]:
+        for stored in listed[name]:
             before = sum(kernel.stats.cache_misses.values())
-            kernel.compile(tuple(parse(text, kernel)))
+            kernel.compile(parse(stored, kernel))
             compiled += sum(kernel.stats.cache_misses.values()) - before
     tell(whole, whole)
     return compiled
@@ -162,38 +159,29 @@ def find(name: str) -> Dispatcher:
     return kernel
 
 
-def parse(text: str, kernel: Dispatcher) -> Iterator[types.Type]:
-    """Types as numba writes them, separated by ``"; "``.
+def parse(stored: Sequence[Any], kernel: Dispatcher) -> tuple[types.Type, ...]:
+    """Types of a kernel's arguments: its module knows the named tuples among them.
 
-    ``kernel``: whose arguments they are: its module knows the named tuples.
+    ``stored``: as ``signatures.json`` has them: ``"int64"``, ``["array", "int64", 1, "C"]``, or
+    ``"readonly"`` for one that cannot be written to, ``["tuple", ...]``, or a named tuple by its
+    name.
     """
-    return (_parse(part, kernel.py_func.__globals__) for part in text.split("; "))
+    return tuple(_parse(one, kernel.py_func.__globals__) for one in stored)
 
 
-def _parse(text: str, known: Mapping[str, Any]) -> types.Type:
-    if array := _ARRAY.fullmatch(text):
-        layout: Any = array[4]
-        return types.Array(_scalar(array[2]), int(array[3]), layout, readonly=bool(array[1]))
-    if "(" not in text:
-        return _scalar(text)
-    name, inside = text[:-1].split("(", 1)
-    parts = [_parse(part, known) for part in _split(inside)]
+def _parse(stored: Any, known: Mapping[str, Any]) -> types.Type:
+    if isinstance(stored, str):
+        found: types.Type = getattr(types, stored)
+        return found
+    kind, *parts = stored
+    if kind in {"array", "readonly"}:
+        dtype, axes, layout = parts
+        return types.Array(_parse(dtype, known), axes, layout, readonly=kind == "readonly")
+    members = [_parse(part, known) for part in parts]
     made: types.Type = types.BaseTuple.from_types(  # type: ignore[no-untyped-call]
-        parts, None if name.endswith("Tuple") else known[name]
+        members, None if kind == "tuple" else known[kind]
     )
     return made
-
-
-def _scalar(name: str) -> types.Type:
-    found: types.Type = getattr(types, name)
-    return found
-
-
-def _split(text: str) -> Sequence[str]:
-    """Members of a tuple; ``"int64 x 2"`` are two."""
-    if many := re.fullmatch(r"(.*) x (\d+)", text):
-        return [many[1]] * int(many[2])
-    return re.split(r", (?![^(]*\))", text)
 
 
 def _called(kernel: Dispatcher) -> Iterator[str]:

@@ -32,7 +32,7 @@ from spl_batch.airborne.plan.inputs.findings import (
     refuse_empty_area,
 )
 from spl_batch.airborne.plan.inputs.survey_inputs import Inputs, gather_inputs
-from spl_batch.airborne.plan.strip_tasks import is_one_flightline
+from spl_batch.airborne.plan.space_tasks import is_one_flightline
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import surface_reach_m
 from spl_batch.airborne.precompile import compile_share

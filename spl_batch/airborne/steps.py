@@ -32,182 +32,103 @@ _LABELLED: Final = f"{_HOME}.store.label_tables:labelled"
 """A task has the labels of what is finished, and goes without those of what has failed."""
 
 
-def _step(name: str, stage: str, run: str, *, tasks: str, **options: Any) -> Step:
-    """A step whose places begin where they do here."""
-    return Step(
-        name=name,
-        stage=stage,
-        run=f"{_HOME}.{run}",
-        tasks=f"{_HOME}.plan.{tasks}",
-        **options,
-    )
+def _step(stage: str, run: str, tasks: str, name: str, **options: Any) -> Step:
+    """A step whose task, and what makes its tasks, are functions of its name.
+
+    ``run``: module of the first, with the function where it has another name; ``tasks``: of the
+    second, below ``plan``.
+    """
+    place = f"{_HOME}.{run}" if ":" in run else f"{_HOME}.{run}:{name}"
+    return Step(name=name, stage=stage, run=place, tasks=f"{_HOME}.plan.{tasks}:{name}", **options)
 
 
 _SHUFFLED: Final = ("build_tile", "align")
 """What the space domain is planned from: its points by tile, and whether flightlines are moved."""
 
-_cell = partial(_step, unit="ground cell")
+# Stage, where tasks are done, and where they are planned.
+_index = partial(_step, "index", "tasks.index", "time_tasks")
+_shots = partial(_step, "shots", "tasks.time_domain", "time_tasks")
+_scatter = partial(_step, "shuffle", "tasks.time_domain", "time_tasks")
+_tiles = partial(_step, "shuffle", "tasks.time_domain", "space_tasks", unit="tile")
+_denoise = partial(_step, "denoise", "tasks.space_domain", "space_tasks", unit="cell")
+_ground = partial(_step, "ground", "tasks.space_domain", "space_tasks", unit="ground cell")
+_align = partial(_step, "ground", "lines.comparison", "space_tasks")
+_surface = partial(_step, "surfaces", "tasks.surfaces", "space_tasks", unit="ground cell")
+_pairs = partial(_step, "surfaces", "lines.comparison", "space_tasks")
 _patches = partial(
-    _cell,
-    stage="ground",
-    run="lines.comparison:strip_patches",
+    _step,
+    "ground",
+    "lines.comparison:strip_patches",
+    "space_tasks",
+    unit="ground cell",
     bytes_per_point=80,
     remedy="lower ground.cell_m",
     bind=_LABELLED,
 )
-_delivery = partial(_step, stage="deliver", delivers=True)
+_delivery = partial(_step, "deliver", "tasks.delivery", "delivery_tasks", delivers=True)
+_client = partial(_step, "deliver", "tasks.client_tiles", "delivery_tasks", delivers=True)
+_reference = partial(_step, "report", "tasks.reference", "reference_tasks")
+_accuracy = partial(_step, "report", "tasks.accuracy", "reference_tasks")
+_catalogue = partial(_step, "report", "tasks.delivery", "delivery_tasks", delivers=True)
 
 STEPS: Final[Steps] = table(
-    _step(
-        "trajectory_file",
-        "index",
-        "tasks.index:look_through",
-        tasks="time_tasks:trajectory_file",
-        settings=("survey.trajectory_crs",),
-        after=(),
-    ),
-    _step(
-        "index_part",
-        "index",
-        "tasks.index:index_part",
-        tasks="time_tasks:index_part",
-        settings=_INDEXED,
-        bytes_per_point=300,
-        after=(),
-    ),
-    _step(
-        "index_file",
-        "index",
-        "tasks.index:index_file",
-        tasks="time_tasks:index_file",
-        settings=_INDEXED,
-        unit="file",
-        after=("index_part",),
-    ),
-    _step(
+    _index("trajectory_file", settings=("survey.trajectory_crs",), after=()),
+    _index("index_part", settings=_INDEXED, bytes_per_point=300, after=()),
+    _index("index_file", settings=_INDEXED, unit="file", after=("index_part",)),
+    _index(
         "trajectory",
-        "index",
-        "tasks.index:gather_trajectory",
-        tasks="time_tasks:trajectory",
         settings=("survey.trajectory_crs",),
         after=("trajectory_file", "index_file"),
     ),
-    _step(
-        "sights",
-        "shots",
-        "tasks.lines_of_sight:collect",
-        tasks="time_tasks:sights",
-        settings=_OBSERVED,
-        unit="stretch",
-        bytes_per_point=380,
-    ),
-    _step("sensor_path", "shots", "tasks.lines_of_sight:find_path", tasks="time_tasks:sensor_path"),
-    _step(
-        "observe",
-        "shots",
-        "tasks.lines_of_sight:observe",
-        tasks="time_tasks:observe",
-        settings=_OBSERVED,
-        unit="stretch",
-        bytes_per_point=380,
-    ),
-    _step(
-        "fit_line",
-        "shots",
-        "tasks.time_domain:fit_line",
-        tasks="time_tasks:fit_line",
-        settings=_TIME,
-        unit="flightline",
-    ),
-    _step(
+    _shots("sights", settings=_OBSERVED, unit="stretch", bytes_per_point=380),
+    _shots("sensor_path"),
+    _shots("observe", settings=_OBSERVED, unit="stretch", bytes_per_point=380),
+    _shots("fit_line", settings=_TIME, unit="flightline"),
+    _scatter(
         "scatter",
-        "shuffle",
-        "tasks.time_domain:scatter",
-        tasks="time_tasks:scatter",
         settings=(*_TIME, "tiling.tile_m", "aoi", "water"),
         unit="stretch",
         bytes_per_point=540,
     ),
-    _step(
-        "build_tile",
-        "shuffle",
-        "tasks.time_domain:build_tile",
-        tasks="space_tasks:build",
-        unit="tile",
-        bytes_per_point=280,
-        remedy="lower tiling.tile_m",
-    ),
-    _step(
+    _tiles("build_tile", bytes_per_point=280, remedy="lower tiling.tile_m"),
+    _denoise(
         "denoise",
-        "denoise",
-        "tasks.space_domain:denoise",
-        tasks="space_tasks:denoise",
         settings=("filter", "noise", "afterpulse", "outputs.diagnostics"),
-        unit="cell",
         bytes_per_point=150,
         remedy="lower tiling.tile_m",
         after=("build_tile",),
     ),
-    _patches("recorded_patches", tasks="strip_tasks:recorded_patches", after=("build_tile",)),
-    _step(
-        "align",
+    _patches("recorded_patches", after=("build_tile",)),
+    _align("align", settings=("survey.align",), after=("recorded_patches",)),
+    _ground(
         "ground",
-        "lines.comparison:align",
-        tasks="strip_tasks:align",
-        settings=("survey.align",),
-        after=("recorded_patches",),
-    ),
-    _cell(
-        "ground",
-        "ground",
-        "tasks.space_domain:ground",
-        tasks="space_tasks:ground",
         settings=("ground",),
         bytes_per_point=215,
         remedy="lower ground.cell_m or ground.buffer_m",
         after=_SHUFFLED,
         bind=_LABELLED,
     ),
-    _patches("strip_patches", tasks="strip_tasks:patches", after=_SHUFFLED),
-    _cell(
+    _patches("strip_patches", after=_SHUFFLED),
+    _surface(
         "surface",
-        "surfaces",
-        "tasks.surfaces:surface",
-        tasks="space_tasks:surface",
         settings=(
-            "ground.cell_m",
-            "products",
-            "classes",
-            "aoi",
-            "water",
-            "breaklines",
-            "survey.sensor",
+            *("ground.cell_m", "products", "classes"),
+            *("aoi", "water", "breaklines", "survey.sensor"),
         ),
         bytes_per_point=225,
         remedy="lower ground.cell_m or products.void_max_m",
         after=_SHUFFLED,
         bind=f"{_HOME}.store.label_tables:on_ground",
     ),
-    _step(
-        "strip_pairs",
-        "surfaces",
-        "lines.comparison:strip_pairs",
-        tasks="strip_tasks:pairs",
-        after=("strip_patches", "align"),
-        bind=_LABELLED,
-    ),
+    _pairs("strip_pairs", after=("strip_patches", "align"), bind=_LABELLED),
     _delivery(
         "deliver_file",
-        run="tasks.delivery:deliver_file",
-        tasks="space_tasks:deliver",
         settings=("outputs.diagnostics", *_CLASSES),
         after=_SHUFFLED,
         bind=_LABELLED,
     ),
     _delivery(
         "deliver_tile",
-        run="tasks.delivery:deliver_tile",
-        tasks="space_tasks:deliver_tiles",
         settings=("outputs.tiles", *_CLASSES),
         bytes_per_point=280,
         after=_SHUFFLED,
@@ -215,77 +136,43 @@ STEPS: Final[Steps] = table(
     ),
     _delivery(
         "mosaic",
-        run="tasks.delivery:mosaic",
-        tasks="space_tasks:mosaic",
         settings=("ground.cell_m", "products.cell_m", "products.void_max_m", "aoi"),
         after=("surface",),
     ),
-    _step(
-        "reference",
-        "report",
-        "tasks.reference:reference",
-        tasks="reference_tasks:reference",
-        after=("surface",),
-    ),
+    _reference("reference", after=("surface",)),
     _delivery(
         "deliver_copc",
-        run="tasks.delivery:deliver_copc",
-        tasks="space_tasks:deliver_copc",
         unit="file",
         bytes_per_point=280,
         remedy="set outputs.copc: false, and outputs.tiles: copc for octrees by tile",
         after=("deliver_file",),
     ),
-    _delivery(
-        "deliver_geoid",
-        run="tasks.delivery:deliver_geoid",
-        tasks="space_tasks:geoid",
-        settings=("outputs.geoid",),
-        after=("mosaic",),
-    ),
-    _delivery(
+    _delivery("deliver_geoid", settings=("outputs.geoid",), after=("mosaic",)),
+    _client(
         "reproject_file",
-        run="tasks.client_tiles:reproject_file",
-        tasks="client_tasks:reprojected_files",
         settings=("outputs.crs", "outputs.units"),
         unit="file",
         after=("deliver_file",),
     ),
-    _delivery(
+    _client(
         "reproject_raster",
-        run="tasks.client_tiles:reproject_raster",
-        tasks="client_tasks:reprojected_rasters",
         settings=("outputs.crs", "outputs.units", "outputs.cell", "products.cell_m"),
         after=("mosaic",),
     ),
-    _delivery(
-        "deliver_contours",
-        run="tasks.client_tiles:deliver_contours",
-        tasks="client_tasks:contours",
-        after=("mosaic",),
-    ),
-    _delivery(
+    _client("deliver_contours", after=("mosaic",)),
+    _client(
         "deliver_client_tile",
-        run="tasks.client_tiles:deliver_client_tile",
-        tasks="client_tasks:client_tiles",
         settings=("outputs.client_tiles.format", "outputs.units"),
         unit="client's tile",
         bytes_per_point=280,
         remedy="set outputs.client_tiles.format: laz",
         after=(
-            "deliver_file",
-            "mosaic",
-            "deliver_geoid",
-            "align",
-            "reproject_file",
-            "reproject_raster",
+            *("deliver_file", "mosaic", "deliver_geoid", "align"),
+            *("reproject_file", "reproject_raster"),
         ),
     ),
-    _step(
+    _accuracy(
         "accuracy",
-        "report",
-        "tasks.accuracy:accuracy",
-        tasks="reference_tasks:accuracy",
         settings=("products.cell_m",),
         unit="square of the reference",
         bytes_per_point=300,
@@ -293,23 +180,16 @@ STEPS: Final[Steps] = table(
         after=("reference", "mosaic"),
         bind=_LABELLED,
     ),
-    _step(
+    _reference(
         "checkpoints",
-        "report",
-        "tasks.checkpoints:checkpoints",
-        tasks="reference_tasks:checkpoints",
         settings=("reference.checkpoints_crs", "reference.checkpoints_accuracy_m"),
         unit="file",
         after=("mosaic",),
     ),
     # It lists everything that is delivered, the checkpoints too: so it comes last.
-    _step(
+    _catalogue(
         "deliver_catalogue",
-        "report",
-        "tasks.delivery:deliver_catalogue",
-        tasks="space_tasks:catalogue",
         settings=tuple(f"survey.{key}" for key in ("name", "organisation", "contact", "licence")),
-        delivers=True,
     ),
 )
 """What an airborne survey's tasks do."""

@@ -16,7 +16,7 @@ from pyproj import CRS
 
 from spl_batch.errors import InputError
 from spl_batch.formats.units import Units, both
-from spl_batch.formats.vector_files import LINES, POLYGONS, Layer, in_crs, read_layers
+from spl_batch.formats.vector_files import LINES, POLYGONS, Layer, read_layers
 
 HEIGHT_FIELDS: Final = ("z", "height", "elevation")
 """Names of a field with the height of a feature whose vertices have none [m]."""
@@ -61,9 +61,9 @@ def read_breaklines(path: Path, crs: CRS | None) -> list[Water]:
     names: list[str] = []
     parts: list[Geometries] = []
     fields: list[Heights] = []
-    for layer in read_layers(path, (*POLYGONS, *LINES), fields=True):
+    for layer in read_layers(path, (*POLYGONS, *LINES), crs, fields=True, heights=True):
         names += [f"{layer.name} {k}" for k in range(1, len(layer.shapes) + 1)]
-        parts.append(in_crs(path, layer.shapes, layer.crs, crs, heights=True))
+        parts.append(layer.shapes)
         fields.append(_heights(layer) * Units.of(crs).vertical_m)
     if not parts:
         raise InputError(str(path), "holds no polygons of water; draw some or remove the key")

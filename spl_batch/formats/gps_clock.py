@@ -130,15 +130,10 @@ def clock(
     def convert(time: NDArray[np.float64]) -> NDArray[np.float64]:
         time = time + before
         if given == "week":
-            time = _nearest_week(time, middle)
+            time = time + GPS_WEEK_S * np.rint((middle - time) / GPS_WEEK_S)
         return time + after + weeks
 
     return convert
-
-
-def _nearest_week(time: NDArray[np.float64], middle: float) -> NDArray[np.float64]:
-    shifted: NDArray[np.float64] = time + GPS_WEEK_S * np.rint((middle - time) / GPS_WEEK_S)
-    return shifted
 
 
 def _refuse_ambiguous(span_s: float, which: str, other: str) -> None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from spl_batch.errors import InputError, named
-from spl_batch.formats.vector_files import POLYGONS, in_crs, read_layers
+from spl_batch.formats.vector_files import POLYGONS, read_layers
 
 SLIVER_M: Final = 0.001
 """Half the width of an overlap that rounding explains; it belongs to the first area [m]."""
@@ -55,7 +55,7 @@ def read_named_areas(path: Path, crs: CRS | None, field: str) -> list[NamedArea]
         If there are none, one has no name for a file or that of another, or two overlap.
     """
     found: list[NamedArea] = []
-    for layer in read_layers(path, POLYGONS, fields=True):
+    for layer in read_layers(path, POLYGONS, crs, fields=True):
         if field.lower() not in layer.fields:
             there = named(sorted(layer.fields), 20) or "none"
             raise InputError(
@@ -63,9 +63,8 @@ def read_named_areas(path: Path, crs: CRS | None, field: str) -> list[NamedArea]
                 f"layer {layer.name} has no field {field!r} with names; there is {there}: set "
                 "outputs.client_tiles.name",
             )
-        shapes = in_crs(path, shapely.force_2d(layer.shapes), layer.crs, crs)
         names = map(_name, layer.fields[field.lower()])
-        found += map(NamedArea, names, shapely.make_valid(shapes))
+        found += map(NamedArea, names, shapely.make_valid(layer.shapes))
     if faults := list(_faults(found, field)):
         raise InputError(str(path), faults)
     return _apart(path, found)

@@ -55,11 +55,6 @@ class Layer(NamedTuple):
     fields: dict[str, NDArray[Any]]  #: Columns by name in lower case, if they were asked for.
     crs: str | None
 
-    def only(self, chosen: NDArray[np.bool_]) -> "Layer":
-        """Some of its features."""
-        fields = {name: column[chosen] for name, column in self.fields.items()}
-        return self._replace(fids=self.fids[chosen], shapes=self.shapes[chosen], fields=fields)
-
 
 def refuse_referring(path: Path, *, raster: bool = False) -> None:
     """Refuse a file that names others in place of content; folders are none.
@@ -104,8 +99,15 @@ def all_layers(path: Path, *, fields: bool) -> Iterator[Layer]:
         yield Layer(name, kind, fids, shapes, values, meta["crs"])
 
 
-def read_layers(path: Path, kinds: Sequence[int], *, fields: bool = False) -> Iterator[Layer]:
-    """Layers that hold shapes of some kinds, and of each only these.
+def read_layers(
+    path: Path,
+    kinds: Sequence[int],
+    crs: CRS | None,
+    *,
+    fields: bool = False,
+    heights: bool = False,
+) -> Iterator[Layer]:
+    """Layers that hold shapes of some kinds, and of each only these, in metres.
 
     Parameters
     ----------
@@ -114,13 +116,17 @@ def read_layers(path: Path, kinds: Sequence[int], *, fields: bool = False) -> It
     kinds : sequence of int
         Types of geometry that are wanted. Layers of others are left out, and points; lines and
         collections among polygons, unless wanted, are faults: they may be meant as areas.
-    fields : bool
-        Whether columns are read.
+    crs : CRS or None
+        CRS on whose axes shapes are wanted; none is only good for a file without a CRS.
+    fields, heights : bool
+        Whether columns are read, and whether vertices keep their heights, in that CRS's unit.
 
     Raises
     ------
     InputError
-        If the file cannot be read, or a shape is missing, damaged or nowhere on Earth.
+        If the file cannot be read, or a shape is missing, damaged or nowhere on Earth; if one of
+        the two has no CRS, or shapes cannot be transformed; if heights that are kept are in another
+        unit or above another datum, or nothing states their unit.
     """
     for layer in all_layers(path, fields=fields):
         chosen = np.isin(shapely.get_type_id(layer.shapes), kinds) & ~shapely.is_empty(layer.shapes)
@@ -133,7 +139,10 @@ def read_layers(path: Path, kinds: Sequence[int], *, fields: bool = False) -> It
             text = f"layer {layer.name}: {'; '.join(faults)}: mend or delete it, or copy it again"
             raise InputError(str(path), text)
         if chosen.any():
-            yield layer.only(chosen)
+            shapes = layer.shapes[chosen] if heights else shapely.force_2d(layer.shapes[chosen])
+            shapes = _in_crs(path, shapes, layer.crs, crs, heights=heights)
+            columns = {name: column[chosen] for name, column in layer.fields.items()}
+            yield layer._replace(fids=layer.fids[chosen], shapes=shapes, fields=columns)
 
 
 def _faults(
@@ -169,28 +178,10 @@ def _as_one_line(path: Path) -> Iterator[None]:
         yield
 
 
-def in_crs(
-    path: Path, shapes: Geometries, own: str | None, crs: CRS | None, *, heights: bool = False
+def _in_crs(
+    path: Path, shapes: Geometries, own: str | None, crs: CRS | None, *, heights: bool
 ) -> Geometries:
-    """Shapes of a file on the axes of another CRS, in metres.
-
-    Parameters
-    ----------
-    path : Path
-        The file, for messages.
-    shapes : (n,) ndarray of Geometry
-        What it holds.
-    own, crs : str and CRS, or None
-        The file's CRS and the one that is wanted; without both, shapes are as they are.
-    heights : bool
-        Whether heights are kept; they are in that CRS's unit.
-
-    Raises
-    ------
-    InputError
-        If one of both has no CRS, heights that are kept are in another unit or above another
-        datum, or nothing states their unit, or they cannot be transformed.
-    """
+    """Shapes of a file in a CRS of its ``own`` on the axes of another one, in metres."""
     if own is None and crs is None:
         return shapes
     if own is None:
@@ -258,10 +249,7 @@ def check_polygons(path: Path, crs: CRS | None) -> Geometries:
     InputError
         If the file is missing, no vector file, has no polygons or no CRS, or one that is damaged.
     """
-    parts = [
-        in_crs(path, shapely.force_2d(layer.shapes), layer.crs, crs)
-        for layer in read_layers(path, POLYGONS)
-    ]
+    parts = [layer.shapes for layer in read_layers(path, POLYGONS, crs)]
     shapes: Geometries = shapely.make_valid(np.concatenate([np.empty(0, object), *parts]))
     if not shapely.area(shapes).any():
         raise InputError(str(path), "holds no polygons; draw at least one or remove the key")

@@ -59,7 +59,8 @@ class Piece:
         if step == unit_q:
             return int(np.count_nonzero(there))
         points = self._sums(self._total, step, (step, 0))[there]
-        return int(_within(points, (step / unit_q) ** 2).sum())
+        each = math.ceil((step / unit_q) ** 2)  # no more units hold points than there are points
+        return int(np.minimum(each, np.maximum(np.ceil(points), 1.0)).sum())
 
     def peak(self, unit_q: int, halo_q: int) -> Peak:
         """The unit that reads most, of those that own part of the survey.
@@ -192,12 +193,6 @@ def _shares(low: int, high: int, size: int, first: int) -> tuple[slice, NDArray[
     start, stop = low // size, -(-high // size)
     edges = np.clip(np.arange(start, stop + 1, dtype=np.float64) * size, low, high)
     return slice(start - first, stop - first), np.diff(edges) / (high - low)
-
-
-def _within(points: NDArray[np.float64], each: float) -> NDArray[np.float64]:
-    """Units that hold points in squares of so many units: no more than points [count]."""
-    units: NDArray[np.float64] = np.minimum(np.ceil(each), np.maximum(np.ceil(points), 1.0))
-    return units
 
 
 def _coarse(width: int, height: int, edge: int, points: float) -> int:

@@ -1,4 +1,4 @@
-"""Lexicographic order of rows by sorting one packed integer for each.
+"""Order of rows by several keys, by sorting one packed integer for each; different numbers.
 
 Sorting key after key moves every row once per key. Most rows already differ in the first keys:
 these are packed into one 64-bit word, above the row's number, and words are sorted: all different,
@@ -10,6 +10,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+ROOM = 1 << 16
+"""Numbers that span no more than this are counted, however few they are [count]."""
 
 _WORD = 64
 _BLOCK = 1 << 14
@@ -60,6 +63,35 @@ def lexicographic_order(keys: Sequence[NDArray[Any]]) -> NDArray[np.intp]:
         rows = order[at]
         order[at] = rows[np.lexsort([key[rows] for key in reversed(keys)])]
     return order
+
+
+def distinct(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.intp]]:
+    """Different numbers, rising, and which of them each value is.
+
+    ``numpy.unique`` gives the same and sorts for it.
+
+    Parameters
+    ----------
+    values : (n,) array of integers
+        Any numbers.
+
+    Returns
+    -------
+    found : (k,) array of the same type
+        The different ones.
+    rank : (n,) intp
+        Which of them each value is.
+    """
+    low = int(values.min()) if len(values) else 0
+    span = int(values.max()) - low + 1 if len(values) else 0
+    if span > max(ROOM, len(values)):
+        found, rank = np.unique(values, return_inverse=True)
+        return found, rank
+    offset = values.astype(np.int64) - low
+    held = np.zeros(span, np.bool_)
+    held[offset] = True
+    numbers: NDArray[np.int64] = np.flatnonzero(held) + low
+    return numbers.astype(values.dtype), (np.cumsum(held) - 1)[offset]
 
 
 def in_order(keys: Sequence[NDArray[Any]]) -> bool:

@@ -83,6 +83,16 @@ def grow(bounds: Bounds, halo: int) -> Bounds:
     return Bounds(bounds.xmin - halo, bounds.ymin - halo, bounds.xmax + halo, bounds.ymax + halo)
 
 
+def whole_cells(bounds: Bounds, size: int) -> Bounds:
+    """Smallest region of whole squares of an absolute grid that holds a region.
+
+    ``size``: edge of the grid's squares [quanta], > 0.
+    """
+    west, south = bounds.xmin // size, bounds.ymin // size
+    east, north = -(-bounds.xmax // size), -(-bounds.ymax // size)
+    return Bounds(west * size, south * size, east * size, north * size)
+
+
 def overlap(a: Bounds, b: Bounds) -> bool:
     """Whether two half-open regions share area."""
     return a.xmin < b.xmax and b.xmin < a.xmax and a.ymin < b.ymax and b.ymin < a.ymax

@@ -24,24 +24,7 @@ def nearest_cells(held: Mask) -> tuple[Index, Index]:
 def distances(held: Mask) -> NDArray[np.float64]:
     """Distance of each cell to the nearest that holds something: (rows, columns) float64 [cells].
 
-    ``held``: as :func:`nearest_cells` has it.
+    ``held``: (rows, columns) bool, cells that do; where there are none it is infinite.
     """
     away: NDArray[np.float64] = distance_transform_edt(~held)
-    return away
-
-
-def within_discs(held: Mask, radius: float) -> Mask:
-    """Cells whose distance to one that holds something is no more than a radius.
-
-    Parameters
-    ----------
-    held : (rows, columns) bool
-        Cells that do; there may be none.
-    radius : float
-        Radius between the middles of cells [cells], >= 0.
-
-    Returns
-    -------
-    (rows, columns) bool
-    """
-    return distances(held) <= radius if held.any() else np.zeros_like(held)
+    return away if held.any() else np.full(held.shape, np.inf)

@@ -1,6 +1,6 @@
 """Sorting and bisection for kernels, as functions that compile quickly.
 
-numba compiles its own ``sort``, ``argsort`` and ``searchsorted`` anew for each type and for each
+numba compiles its own ``sort`` and ``searchsorted`` anew for each type and for each
 process: two seconds each, where these take some tenths. What kernels sort is short: the returns of
 a cell, a column or a shot.
 """
@@ -39,42 +39,6 @@ def sort(values: NDArray[Any]) -> None:
 
 
 @njit()
-def order_of(values: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Positions by increasing value; equal values stay in their order.
-
-    Parameters
-    ----------
-    values : (n,) float64
-        Numbers; none is NaN.
-
-    Returns
-    -------
-    (n,) int64
-        Position of the smallest value, of the next, and so on.
-    """
-    n, gap = len(values), 1
-    order = np.empty(n, np.int64)
-    for i in range(n):
-        order[i] = i
-    while gap < n:
-        gap = gap * 9 // 4 + 1
-    while gap > 1:
-        gap = gap * 4 // 9
-        for i in range(gap, n):
-            taken, k = order[i], i
-            while k >= gap:
-                before = order[k - gap]
-                if values[before] < values[taken]:
-                    break
-                if values[before] == values[taken] and before < taken:
-                    break
-                order[k] = before
-                k -= gap
-            order[k] = taken
-    return order
-
-
-@njit()
 def select(values: NDArray[np.float64], k: int) -> float:
     """Value that a sort would put at place ``k``; what is not larger ends up before it.
 
@@ -102,32 +66,6 @@ def select(values: NDArray[np.float64], k: int) -> float:
         else:
             break
     return float(values[k])
-
-
-@njit()
-def first_not_below(values: NDArray[Any], sought: Any) -> int:
-    """Position of the first value that is no smaller than another.
-
-    Parameters
-    ----------
-    values : (n,) int64 or float64
-        Numbers in increasing order.
-    sought : int or float
-        What they are compared with; NaN lies above all of them.
-
-    Returns
-    -------
-    int
-        0 to n; n where all are smaller.
-    """
-    low, high = 0, len(values)
-    while low < high:
-        middle = (low + high) >> 1
-        if sought <= values[middle]:
-            high = middle
-        else:
-            low = middle + 1
-    return low
 
 
 @njit()

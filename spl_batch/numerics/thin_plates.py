@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.neighbours.kdtree import U0, U1
 
 Values = NDArray[np.float64]
 
@@ -25,20 +26,24 @@ def bending(distance2: float) -> float:
 
 @njit()
 def _solve(matrix: Values, values: Values) -> bool:
-    """Solve a square system in place, pivots by column; whether it can be solved."""
-    n = len(values)
-    for k in range(n):
-        pivot = k + np.argmax(np.abs(matrix[k:, k]))
+    """Solve a square system in place, pivots by column; whether it can be solved.
+
+    Indices are unsigned: a signed one costs numba a test for wrapping, and the compiler its vector
+    instructions.
+    """
+    n, end = len(values), np.uint64(len(values))
+    for k in range(U0, end):
+        pivot = k + np.uint64(np.argmax(np.abs(matrix[k:, k])))
         if matrix[pivot, k] == 0.0:
             return False
         if pivot != k:
-            row, value = matrix[k].copy(), values[k]
-            matrix[k], values[k] = matrix[pivot], values[pivot]
-            matrix[pivot], values[pivot] = row, value
-        for i in range(k + 1, n):
+            for j in range(k, end):
+                matrix[k, j], matrix[pivot, j] = matrix[pivot, j], matrix[k, j]
+            values[k], values[pivot] = values[pivot], values[k]
+        for i in range(k + U1, end):
             factor = matrix[i, k] / matrix[k, k]
             if factor != 0.0:
-                for j in range(k + 1, n):
+                for j in range(k + U1, end):
                     matrix[i, j] -= factor * matrix[k, j]
                 values[i] -= factor * values[k]
     for k in range(n - 1, -1, -1):

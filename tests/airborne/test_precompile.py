@@ -5,10 +5,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from itertools import chain
 from pathlib import Path
 
 import pytest
 
+from benchmarks.airborne.signatures import written
 from spl_batch.airborne import precompile
 from spl_batch.engine.flow.cluster import SETTINGS
 from spl_batch.engine.flow.warm_up import WarmUp
@@ -38,10 +40,10 @@ def test_the_list_is_what_a_run_calls(tiny_survey: Path, tmp_path: Path) -> None
 def test_types_are_read_as_they_are_written() -> None:
     for name, listed in precompile.signatures().items():
         kernel = precompile.find(name)
-        for text in listed:
-            assert "; ".join(map(str, precompile.parse(text, kernel))) == text
-    assert any("readonly" in text for listed in precompile.signatures().values() for text in listed)
-    assert any("Rules(" in text for listed in precompile.signatures().values() for text in listed)
+        for stored in listed:
+            assert [written(one) for one in precompile.parse(stored, kernel)] == stored
+    kinds = {one[0] for listed in precompile.signatures().values() for one in chain(*listed)}
+    assert kinds > {"array", "readonly", "tuple", "Rules"}
 
 
 @pytest.mark.parametrize("shares", [1, 2, 3, 16, 100])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spl_batch.lattice.distinct import ROOM, distinct
+from spl_batch.lattice.row_order import ROOM, distinct
 
 
 @pytest.mark.parametrize("dtype", [np.uint16, np.int32, np.int64])

@@ -15,6 +15,7 @@ from spl_batch.lattice.tiles import (
     grow,
     inside,
     overlap,
+    whole_cells,
 )
 
 SIZES = st.integers(1, 200_000)
@@ -62,6 +63,14 @@ def test_cells_touching_covers_and_no_more(region: Bounds, size: int) -> None:
         assert len(cells) == columns * (cells[-1].j - cells[0].j + 1)
     else:
         assert cells == []
+
+
+@given(regions(), st.integers(500, 4000))
+def test_whole_cells_are_those_that_a_region_touches(region: Bounds, size: int) -> None:
+    wide = grow(region, 1)
+    whole = whole_cells(wide, size)
+    assert all(side % size == 0 for side in whole)
+    assert list(cells_touching(whole, size)) == list(cells_touching(wide, size))
 
 
 @given(regions(), regions())

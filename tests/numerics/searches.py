@@ -3,7 +3,6 @@
 The kernels that find them are the filters' own; tests compare them with all pairs.
 """
 
-from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -13,14 +12,12 @@ from numpy.typing import NDArray
 from spl_batch.airborne.filter.ellipsoid.spacing import Spacing, measure, spacing_scratch
 from spl_batch.numerics.neighbours.kdtree import (
     LEAF,
-    ROW_MASK,
     U1,
     U3,
     KdTree,
     build,
     check_cap,
     leaf_slots,
-    nearest_keys,
 )
 from spl_batch.numerics.neighbours.nearest import edges_of_leaves, neighbours_of_leaves
 
@@ -28,18 +25,17 @@ CHUNK: Final = 64
 """Leaves that are searched before their neighbours are put away [count]."""
 
 
-def nearest(
-    xyz: NDArray[np.int32], query: NDArray[np.bool_], neighbours: int, cap: int
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Nearest neighbours of points among their own table, the point itself left out."""
-    return _search(_one_by_one, xyz, query, neighbours, cap)
-
-
 def nearest_sets(
     xyz: NDArray[np.int32], query: NDArray[np.bool_], neighbours: int, cap: int
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Nearest neighbours of points among their own table, the point itself left out."""
-    return _search(_by_leaves, xyz, query, neighbours, cap)
+    check_cap(cap)
+    rows = np.full((len(xyz), neighbours), -1, dtype=np.int32)
+    found = np.zeros(len(xyz), dtype=np.int32)
+    tree = build(xyz)
+    if len(xyz):
+        _by_leaves(tree.points, tree.boxes, tree.depth, query, cap, rows, found)
+    return rows[query], found[query]
 
 
 def spacings(
@@ -52,44 +48,6 @@ def spacings(
     if len(out):
         _spacings(tree.points, tree.boxes, tree.depth, Spacing(neighbours, cap), wanted, out)
     return out
-
-
-def _search(
-    kernel: Callable[..., None],
-    xyz: NDArray[np.int32],
-    query: NDArray[np.bool_],
-    neighbours: int,
-    cap: int,
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Rows and counts that a kernel finds for query points; see :func:`nearest`."""
-    check_cap(cap)
-    rows = np.full((len(xyz), neighbours), -1, dtype=np.int32)
-    found = np.zeros(len(xyz), dtype=np.int32)
-    tree = build(xyz)
-    if len(xyz):
-        kernel(tree.points, tree.boxes, tree.depth, query, cap, rows, found)
-    return rows[query], found[query]
-
-
-@njit(nogil=True, cache=True)
-def _one_by_one(points, boxes, depth, query, cap, rows, found):  # type: ignore[no-untyped-def]
-    """Neighbours of every query point, in tree order, so that the cache stays warm."""
-    n, depth = np.uint64(points.shape[1]), np.uint64(depth)
-    keys = np.empty(rows.shape[1], dtype=np.int64)
-    distance, fresh = np.empty(LEAF, dtype=np.float64), np.empty(LEAF, dtype=np.int64)
-    stack, bound = np.empty(64, dtype=np.uint64), np.empty(64, dtype=np.float64)
-    for leaf in range(U1 << depth, U1 << (depth + U1)):
-        low, high = leaf_slots(leaf, depth, n)
-        for slot in range(low, high):
-            row = points[U3, slot]
-            if not query[row]:
-                continue
-            count = nearest_keys(
-                points, boxes, depth, leaf, slot, cap, keys, distance, fresh, stack, bound
-            )
-            found[row] = count
-            for i in range(count):
-                rows[row, i] = keys[i] & ROW_MASK
 
 
 @njit(nogil=True, cache=True)

@@ -12,13 +12,14 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from spl_batch.airborne.accuracy.error_tally import STEPS_PER_M
 from spl_batch.airborne.accuracy.raster_and_reference import Raster, Reference
 from spl_batch.constants import CLASS_BUILDING, CLASS_GROUND, CLASS_WATER
 from spl_batch.formats.rasters.parts import Grid, known
+from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.nearest_cells import distances
+from spl_batch.numerics.neighbours.place_grid import PlaceGrid
 
 OPEN_M: Final = 2.0
 """Open ground has nothing tall within this distance [m]."""
@@ -33,7 +34,7 @@ CELLS: Final = 4
 """Cells in the radius that is looked for [count]; speed only."""
 
 CELLS_MAX: Final = 64
-"""Cells for each point beyond which a tree is asked for all [count]: points lie far apart."""
+"""Cells for each point beyond which all are searched for [count]: points lie far apart."""
 
 RETURNS_M: Final = 0.5
 """Kept returns are compared with a reference return no farther off, along and up [m]."""
@@ -102,7 +103,7 @@ def _cover(reference: Reference) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     if not len(points) or not others.any():
         return np.ones(len(points), np.bool_), np.zeros(len(points), np.bool_)
     above = reference.xyz_m[others]
-    foot = np.asarray(_tree(points).query(above[:, :2])[1], dtype=np.intp)
+    foot = PlaceGrid.of(points).nearest(above)[:, 0]
     height = above[:, 2] - points[foot, 2]
     plants = reference.classification[others] != CLASS_BUILDING
     return (
@@ -116,15 +117,14 @@ def _near(
 ) -> NDArray[np.bool_]:
     """Which points have one of the others within a horizontal distance.
 
-    Distances between cells settle it for most; a tree is asked for the rest.
+    Distances between cells settle it for most; the others are searched for the rest.
     """
     if len(others) == 0 or len(points) == 0:
         return np.zeros(len(points), np.bool_)
     low_m, high_m = _by_cells(points, others, radius_m / CELLS)
     near = high_m < radius_m
     unsure = np.flatnonzero(~near & (low_m <= radius_m))
-    found, _ = _tree(others).query(points[unsure, :2], distance_upper_bound=radius_m)
-    near[unsure] = np.isfinite(found)
+    near[unsure] = PlaceGrid.of(others).nearest(points[unsure], reach=radius_m)[:, 0] >= 0
     return near
 
 
@@ -148,11 +148,6 @@ def _by_cells(
     return apart_m - diagonal_m, apart_m + diagonal_m
 
 
-def _tree(points: NDArray[np.float64]) -> cKDTree:
-    """Tree of horizontal places; one that is built quickly, as it is asked little."""
-    return cKDTree(points[:, :2], balanced_tree=False, compact_nodes=False)
-
-
 def surface_differences(dsm: Raster, reference: Reference) -> Differences:
     """DSM minus the highest reference return of each cell, by class of surface.
 
@@ -165,11 +160,8 @@ def surface_differences(dsm: Raster, reference: Reference) -> Differences:
     rows, cols = dsm.values.shape
     picked = np.flatnonzero(held)
     cell = row[picked] * cols + col[picked]
-    # The last that is put down stays: the highest. Equal heights are settled by class, never by
-    # order.
-    order = np.lexsort([reference.classification[picked], reference.xyz_m[picked, 2]])
     highest = np.full(rows * cols, -1, np.intp)
-    highest[cell[order]] = picked[order]
+    _put_highest(picked, cell, reference.xyz_m, reference.classification, highest)
     cell = np.flatnonzero(highest >= 0)
     top = highest[cell]
     surface = known(dsm.values.ravel()[cell])
@@ -194,6 +186,19 @@ def surface_differences(dsm: Raster, reference: Reference) -> Differences:
     return _by_class(difference, classes, reference.counts[top] & np.isfinite(difference))
 
 
+@njit()
+def _put_highest(
+    picked: NDArray[np.intp], cell: NDArray[np.int64], xyz_m: NDArray[np.float64],
+    kind: NDArray[np.uint8], out: NDArray[np.intp],
+) -> None:  # fmt: skip
+    """Put the highest of some points into their cells; equal heights are settled by class."""
+    for k in range(len(picked)):
+        i, there = picked[k], out[cell[k]]
+        above = xyz_m[i, 2] - xyz_m[there, 2]
+        if there < 0 or above > 0.0 or (above == 0.0 and kind[i] >= kind[there]):
+            out[cell[k]] = i
+
+
 def return_differences(xyz_m: NDArray[np.float64], reference: Reference) -> Differences:
     """Kept returns minus the reference's nearest ground or roof, as [W17 5.4] compares filters.
 
@@ -205,10 +210,9 @@ def return_differences(xyz_m: NDArray[np.float64], reference: Reference) -> Diff
     for name, code in (("ground", CLASS_GROUND), ("building", CLASS_BUILDING)):
         points = known.xyz_m[known.classification == code]
         out[name] = np.empty(0, np.float32)
-        if len(points) and len(xyz_m):
-            found = _tree(points).query(xyz_m[:, :2], distance_upper_bound=RETURNS_M)
-            away, nearest = np.asarray(found[0]), np.asarray(found[1], dtype=np.intp)
-            near = np.isfinite(away)
+        if len(points):
+            nearest = PlaceGrid.of(points).nearest(xyz_m, reach=RETURNS_M)[:, 0]
+            near = nearest >= 0
             off = xyz_m[near, 2] - points[nearest[near], 2]
             out[name] = off[np.abs(off) <= RETURNS_M].astype(np.float32)
     return out

@@ -19,7 +19,9 @@ class Raster(RasterPart):
         """Part of a file that places, (n, 2), lie on; None where it does not reach them."""
         if not len(xy_m):
             return None
-        (west, south), (east, north) = xy_m.min(axis=0).tolist(), xy_m.max(axis=0).tolist()
+        # A column at a time: along rows of two numbers numpy takes twenty times as long.
+        x, y = xy_m.T
+        west, south, east, north = map(float, (x.min(), y.min(), x.max(), y.max()))
         part = read_part(path, (west, south, east, north))
         return None if part is None else cls(part.values, part.left_m, part.top_m, part.cell_m)
 

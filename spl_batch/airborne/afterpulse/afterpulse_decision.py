@@ -40,10 +40,10 @@ from spl_batch.airborne.afterpulse.weighted_counts import UNIT, weigh_around
 from spl_batch.airborne.beams.dependent_returns import LAG_M, dependents
 from spl_batch.airborne.beams.shot_runs import Beamlets
 from spl_batch.airborne.settings import AfterpulseSettings
+from spl_batch.lattice.lattice_columns import columns
 from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
 from spl_batch.lattice.tiles import quanta
-from spl_batch.numerics.neighbours.lattice_columns import columns
 
 COLUMNS_NEEDED: Final = (
     "x", "y", "z", "gps_time", "channel", "flags", "line_density", "afterpulse", "afterpulse_rate",

@@ -21,7 +21,7 @@ from spl_batch.airborne.afterpulse.hard_surfaces import (
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.planes.robust_plane import residual
-from spl_batch.numerics.sorting import first_above, first_not_below
+from spl_batch.numerics.sorting import first_above
 
 CLEAN = 0.9
 """Least share of a shot's first returns, on its plane and behind it, that lie on it."""
@@ -125,7 +125,9 @@ def _observe(w, channel, lag, distance, spread, square, rules, edges, counts):  
     for i in range(len(w)):
         if on[i]:
             # Shorter lags may be those of a second return of the plane itself.
-            begin = first_not_below(edges, max(BEHIND * scale - distance[i], 0.0))
+            shortest = max(BEHIND * scale - distance[i], 0.0)
+            begin = first_above(edges, shortest)
+            begin -= int(begin > 0 and edges[begin - 1] == shortest)  # edges all differ
             follower = next_return(i, w, channel)
             at = len(edges) - 1
             if follower >= 0:

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse.weighted_counts import most_around
+from spl_batch.lattice.lattice_columns import Columns, first_above
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.kdtree import U0, U1, U2
-from spl_batch.numerics.neighbours.lattice_columns import Columns, first_above
-from spl_batch.numerics.planes.robust_plane import plane_of_moments
 
 
 @njit()
@@ -113,7 +112,13 @@ def _plane_of(sums: NDArray[np.float64], plane: NDArray[np.float64]) -> bool:
     mu, mv, mw = sums[1] / n, sums[2] / n, sums[3] / n
     uu, uv, vv = sums[4] - n * mu * mu, sums[5] - n * mu * mv, sums[6] - n * mv * mv
     uw, vw = sums[7] - n * mu * mw, sums[8] - n * mv * mw
-    return plane_of_moments(mu, mv, mw, uu, uv, vv, uw, vw, 1e-3, plane)
+    determinant = uu * vv - uv * uv
+    if determinant <= 1e-3 * (uu + vv) ** 2:  # they lie on a line
+        return False
+    plane[1] = (uw * vv - vw * uv) / determinant
+    plane[2] = (vw * uu - uw * uv) / determinant
+    plane[0] = mw - plane[1] * mu - plane[2] * mv
+    return True
 
 
 @njit()

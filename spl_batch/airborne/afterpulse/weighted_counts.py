@@ -10,9 +10,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.lattice.lattice_columns import Columns, first_above
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.kdtree import U0, U1, U2
-from spl_batch.numerics.neighbours.lattice_columns import Columns, first_above
 from spl_batch.numerics.simd import LANES, UL, ascending, load, number, pack, spread
 
 UNIT: Final = 1024

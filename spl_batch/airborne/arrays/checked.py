@@ -18,6 +18,7 @@ from spl_batch.errors import InputError, WorkflowError, counted, grouped
 from spl_batch.formats.crs import look_like_degrees
 from spl_batch.formats.gps_clock import usable_times
 from spl_batch.lattice.tables import PointFlag, PointTable
+from spl_batch.lattice.tiles import Bounds
 
 HIGHEST_M: Final = 1e6
 """Heights are metres above some ground: a larger number is another unit, or another axis [m]."""
@@ -121,6 +122,12 @@ def _misplaced(place: Numbers) -> list[str]:
         value = ", ".join(f"{v:g}" for v in place[far[0]])
         faults.append(f"point number {far[0]} lies at {value}; give metres in a projected CRS")
     return faults
+
+
+def box_of(table: PointTable) -> Bounds:
+    """Region of all points of a table, at least one [quanta]."""
+    x, y = table["x"], table["y"]
+    return Bounds(int(x.min()), int(y.min()), int(x.max()) + 1, int(y.max()) + 1)
 
 
 def require_metres(table: PointTable) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spl_batch.airborne.arrays.checked import (
+    box_of,
     coarse,
     densities,
     points_of,
@@ -30,7 +31,6 @@ from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.errors import InputError, grouped
 from spl_batch.lattice.tables import PointFlag, PointTable, canonical_order
-from spl_batch.lattice.tiles import Bounds
 
 CONTRADICTED: Final = 1.4
 """Times the expected noise that empty space may hold: afterpulses of noise make it 1.15."""
@@ -165,12 +165,11 @@ def expected_noise(
             raise InputError(
                 "at", "noise elsewhere needs beams; give gps_time, channel and beam_origin"
             )
-        found = empty_space(*(table[axis] for axis in "xyz"))
-        return ExpectedNoise(found.density, found.density, "cloud", _doubts(found, len(table)))
+        return _of_cloud(table)
     known = assess(table, origin, chosen)
     places = known.table if at is None else points_of(at)
     noise = NoiseInAir(known.model([places[axis] for axis in "xyz"], chosen))
-    return ExpectedNoise(noise.local(places), noise.mean(places), _basis(known), known.warnings)
+    return ExpectedNoise(noise.local(places), noise.mean(places), known.basis, known.warnings)
 
 
 def _table(
@@ -250,13 +249,11 @@ def _filtered(
         told = mean = given[order]
     elif known is not None:
         noise = _expected(ordered, known, settings)
-        told, mean, basis = noise.local(ordered), noise.mean(ordered), _basis(known)
+        told, mean, basis = noise.local(ordered), noise.mean(ordered), known.basis
         space = empty_space(*(ordered[axis] for axis in "xyz"))
         warnings += _contradiction(space, told)
     else:
-        found = empty_space(*(ordered[axis] for axis in "xyz"))
-        told = mean = found.density
-        basis, warnings = "cloud", _doubts(found, n)
+        told, mean, basis, warnings = _of_cloud(ordered)
     tested = mean if denoise.asks_for_means(settings.filter) else told
     columns = denoise.denoise(
         ordered, told, everything, settings.filter, settings.afterpulse, tested=tested
@@ -277,15 +274,14 @@ def _filtered(
 
 def _expected(places: PointTable, known: Assessed, settings: Workflow) -> NoiseInAir:
     """Noise by the beams and by what the air over points holds."""
-    x, y, z = (places[axis] for axis in "xyz")
-    model = known.model([x, y, z], settings)
-    region = Bounds(int(x.min()), int(y.min()), int(x.max()) + 1, int(y.max()) + 1)
-    return NoiseInAir(model, look_at_air(places, model, settings, region).air)
+    model = known.model([places[axis] for axis in "xyz"], settings)
+    return NoiseInAir(model, look_at_air(places, model, settings, box_of(places)).air)
 
 
-def _basis(known: Assessed) -> Basis:
-    names: dict[str, Basis] = {"intersection": "intersection", "vertical": "vertical"}
-    return names.get(known.basis, "beams")
+def _of_cloud(table: PointTable) -> ExpectedNoise:
+    """Noise at points by the cloud's own empty space."""
+    found = empty_space(*(table[axis] for axis in "xyz"))
+    return ExpectedNoise(found.density, found.density, "cloud", _doubts(found, len(table)))
 
 
 def _contradiction(found: EmptySpace, expected: NDArray[np.float64]) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spl_batch.airborne.arrays.checked import (
+    box_of,
     points_of,
     refuse_large,
     require_metres,
@@ -20,11 +21,12 @@ from spl_batch.airborne.ground.ground_methods import ground_mask
 from spl_batch.airborne.plan.grid import Grid
 from spl_batch.airborne.plan.task_memory import RASTER_BYTES
 from spl_batch.airborne.products import surface_points, surface_rasters
+from spl_batch.airborne.products.cell_values import shape_of
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.errors import InputError, grouped, needed
 from spl_batch.lattice.tables import PointFlag, PointTable
-from spl_batch.lattice.tiles import Bounds, CellId, grow, inside, quanta
+from spl_batch.lattice.tiles import Bounds, CellId, grow, inside, quanta, shared, whole_cells
 
 LAYERS_BYTES: Final = 16
 """Memory of a cell of the four rasters [byte]."""
@@ -199,8 +201,8 @@ def rasterize(
             f"{workflow.products.cell_m:g} m; {edge * QUANTUM_M:g} m, the edge of ground.cell_m, "
             f"is to be a whole multiple of it, and it of {QUANTUM_M:g} m",
         )
-    whole = _aligned(table, size)
-    rows, cols = (whole.ymax - whole.ymin) // size, (whole.xmax - whole.xmin) // size
+    whole = whole_cells(box_of(table), size)
+    rows, cols = shape_of(whole, size)
     reach = quanta(surface_rasters.reach_m(workflow.products))
     held = ((edge + 2 * reach) // size) ** 2
     refuse_large(
@@ -254,8 +256,7 @@ def _cells(
     if not len(table):
         return
     x, y = table["x"], table["y"]
-    box = (int(x.min()), int(y.min()), int(x.max()) + 1, int(y.max()) + 1)
-    cells = Grid.of_workflow([box], workflow)
+    cells = Grid.of_workflow([box_of(table)], workflow)
     order = np.argsort(x, kind="stable")
     ascending = x[order]
     squares = np.unique(np.stack([y, x]) // cells.edge, axis=1).T.tolist()
@@ -268,26 +269,17 @@ def _cells(
         yield core, rows
 
 
-def _aligned(table: PointTable, size: int) -> Bounds:
-    """Whole raster cells around all points."""
-    ends = [(int(table[a].min()) // size, int(table[a].max()) // size + 1) for a in "xy"]
-    (west, east), (south, north) = ends
-    return Bounds(west * size, south * size, east * size, north * size)
-
-
 def _paste(
     layer: NDArray[np.float32], whole: Bounds, part: NDArray[np.float32], core: Bounds, size: int
 ) -> None:
     """Put the raster of a cell into the whole one, north up, NaN for nodata."""
-    west, east = max(core.xmin, whole.xmin), min(core.xmax, whole.xmax)
-    south, north = max(core.ymin, whole.ymin), min(core.ymax, whole.ymax)
-    if west >= east or south >= north:
-        return
-    cut = part[
-        (core.ymax - north) // size : (core.ymax - south) // size,
-        (west - core.xmin) // size : (east - core.xmin) // size,
-    ]
-    layer[
-        (whole.ymax - north) // size : (whole.ymax - south) // size,
-        (west - whole.xmin) // size : (east - whole.xmin) // size,
-    ] = np.where(cut == np.float32(NODATA), np.float32(np.nan), cut)
+    west, south, east, north = shared(core, whole)
+    of_part, of_layer = (
+        (
+            slice((region.ymax - north) // size, (region.ymax - south) // size),
+            slice((west - region.xmin) // size, (east - region.xmin) // size),
+        )
+        for region in (core, whole)
+    )
+    cut = part[of_part]
+    layer[of_layer] = np.where(cut == np.float32(NODATA), np.float32(np.nan), cut)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne import shots
+from spl_batch.airborne.arrays.labels import Basis
 from spl_batch.airborne.beams import geometry, sensor_path
 from spl_batch.airborne.beams.rays import look
 from spl_batch.airborne.beams.shot_runs import run_starts
@@ -32,7 +33,7 @@ class Assessed(NamedTuple):
     table: PointTable
     lines: list[list[VoxelPart]]  #: Shares of the expected noise, for each flightline.
     beamlets: int  #: Beamlets of a shot.
-    basis: str  #: What beams are from: ``beams``, ``intersection`` or ``vertical``.
+    basis: Basis  #: What beams are from: ``beams``, ``intersection`` or ``vertical``.
     warnings: tuple[str, ...]  #: What a user should know.
 
     def model(self, xyz: list[NDArray[np.int64]], settings: Workflow) -> NoiseModel | None:
@@ -57,7 +58,7 @@ def assess(table: PointTable, origin_m: NDArray[np.float64] | None, settings: Wo
     }
     added["channel"] = channels.copy()
     added["flags"] = np.where(known, table["flags"], table["flags"] | PointFlag.NO_BEAM)
-    lines, bases, found = [], set(), list[Finding]()
+    lines, bases, found = [], set[Basis](), list[Finding]()
     for name, rows in _flightlines(table, np.flatnonzero(known), settings.survey.gap_s):
         time = table["gps_time"][rows]
         rate = sensor.prf_hz or geometry.estimate_prf(geometry.shot_steps(time))
@@ -66,9 +67,9 @@ def assess(table: PointTable, origin_m: NDArray[np.float64] | None, settings: Wo
             found.append(Finding("T01", assumed, name))
         clock = ShotClock(float(np.floor(time[0])), rate or FALLBACK_PRF_HZ)
         mine = table.take(rows).with_columns(shot=clock.shot(time))
-        basis, beams = _beams(mine, None if origin_m is None else origin_m[rows], count, settings)
-        bases.add(basis)
-        unnumbered = count < sensor.beamlets and basis != "vertical"
+        of_line, beams = _beams(mine, None if origin_m is None else origin_m[rows], count, settings)
+        bases.add(of_line)
+        unnumbered = count < sensor.beamlets and of_line != "vertical"
         beamlets = shots.Beamlets(sensor, count, unnumbered)
         observed = shots.observe(mine, beams, settings.noise, beamlets)
         model, law, _ = shots.fit([observed], settings.noise, beamlets)
@@ -77,7 +78,7 @@ def assess(table: PointTable, origin_m: NDArray[np.float64] | None, settings: Wo
         for key, values in added.items():
             values[rows] = mine[key]
         lines.append(voxel_noise.deposit(lit, beams, model, settings.noise, ground))
-    basis = "vertical" if "vertical" in bases else next(iter(bases), "beams")
+    basis: Basis = "vertical" if "vertical" in bases else next(iter(bases), "beams")
     return Assessed(table.with_columns(**added), lines, count, basis, texts(found))
 
 
@@ -97,7 +98,7 @@ def _flightlines(
 
 def _beams(
     table: PointTable, origin_m: NDArray[np.float64] | None, beamlets: int, settings: Workflow
-) -> tuple[str, BeamTable]:
+) -> tuple[Basis, BeamTable]:
     """Lines of sight of a flightline, and what they are from."""
     if origin_m is not None:
         return "beams", _from_origins(table, origin_m)

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -11,16 +10,15 @@ from pyproj import CRS
 
 from spl_batch.airborne.catalogue.delivered_files import (
     INDEX,
-    UNNAMED,
     Cloud,
     Delivery,
-    Publisher,
     RasterFile,
     leads_to_degrees,
     read_cloud,
     read_raster_file,
 )
 from spl_batch.airborne.catalogue.stac import write_stac
+from spl_batch.airborne.settings import SurveySettings
 from spl_batch.errors import plain
 from spl_batch.formats.crs import compound, crs_name, in_unit, same_crs
 from spl_batch.formats.files.atomic import replacing, scratch_folder
@@ -53,24 +51,23 @@ class Layer(NamedTuple):
 
 def write_catalogues(
     output: Path,
-    name: str,
+    survey: SurveySettings,
     crs: CRS | None,
     args: Mapping[str, Any],
-    outlines: Mapping[str, shapely.MultiPolygon] = MappingProxyType({}),
-    publisher: Publisher = UNNAMED,
+    outlines: Mapping[str, shapely.MultiPolygon],
 ) -> tuple[list[Path], list[str]]:
     """Write every catalogue of the clouds and rasters of a run.
 
     Parameters
     ----------
+    survey : SurveySettings
+        Its name, and who delivers.
     args : mapping
         ``clouds`` (``href``, ``span_s``), ``rasters``, ``reprojected`` (clouds in another CRS),
         ``flightlines`` (``id, points, first_s,
         last_s, files``) and ``checkpoints``, as the plan gives them.
     outlines : mapping of str to MultiPolygon
         Where flightlines lie, by their names [m]; others lie in the boxes of their files.
-    publisher : Publisher
-        Who delivers.
 
     Returns
     -------
@@ -92,7 +89,7 @@ def write_catalogues(
     reason = _why_without_places(crs, held, rasters)
     if crs is not None and not reason:
         elsewhere = [cloud for cloud in moved if cloud.points]
-        delivery = Delivery(plain(name), crs, held, rasters, publisher, elsewhere)
+        delivery = Delivery(plain(survey.name), survey, crs, held, rasters, elsewhere)
         written += write_stac(output, delivery)
     remark = f"{reason}: no STAC and no virtual point cloud are written"
     return written, [f"{remark}{REMEDY if crs is None else ''}"] if reason else []

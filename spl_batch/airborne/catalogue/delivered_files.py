@@ -13,6 +13,7 @@ import shapely
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
+from spl_batch.airborne.settings import SurveySettings
 from spl_batch.constants import ADJUSTED_STANDARD_OFFSET_S
 from spl_batch.formats.crs import horizontal, same_crs, vertical
 from spl_batch.formats.gps_clock import leap_seconds
@@ -81,7 +82,7 @@ class Cloud:
 
     href: str  #: Its path below the output.
     #: West, south, lowest, east, north, highest, in its CRS and that's units.
-    bounds: tuple[float, float, float, float, float, float]
+    bounds: Sequence[float]
     points: int
     span: Span
     #: Name, bytes and kind (``floating``, ``unsigned``, ``signed``) of each dimension.
@@ -119,9 +120,7 @@ def read_cloud(output: Path, href: str, span_s: Sequence[float] | None, crs: CRS
         dimensions = tuple(_dimension(one) for one in header.point_format.dimensions)
         points = int(header.point_count)
     bounds = (*low, *high) if points else (0.0,) * 6
-    west, south, lowest, east, north, highest = bounds
-    ends = west, south, lowest, east, north, highest
-    return Cloud(href, ends, points, span, dimensions, crs)
+    return Cloud(href, bounds, points, span, dimensions, crs)
 
 
 def _dimension(one: Any) -> tuple[str, int, str]:
@@ -153,28 +152,16 @@ def read_raster_file(output: Path, href: str) -> RasterFile:
     return RasterFile(href, tuple(bounds), shape, cell, cell_m, meaning, unit, crs)
 
 
-class Publisher(NamedTuple):
-    """Who delivers, and by what terms, as far as the workflow says."""
-
-    organisation: str | None = None
-    contact: str | None = None
-    licence: str | None = None  #: Identifier of SPDX, or a URL.
-
-
-UNNAMED: Final = Publisher()
-"""Where the workflow says nothing."""
-
-
 @dataclass(frozen=True)
 class Delivery:
     """Everything that catalogues list."""
 
     name: str
+    survey: SurveySettings  #: Who delivers it, and by what terms.
     crs: CRS
     clouds: Sequence[Cloud]
     rasters: Sequence[RasterFile]
-    publisher: Publisher = UNNAMED
-    reprojected: Sequence[Cloud] = ()  #: The same clouds in another CRS.
+    reprojected: Sequence[Cloud]  #: The same clouds in another CRS.
 
     @property
     def span(self) -> Span:

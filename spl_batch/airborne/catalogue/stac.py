@@ -20,13 +20,13 @@ from spl_batch.airborne.catalogue.delivered_files import (
     VIRTUAL,
     Cloud,
     Delivery,
-    Publisher,
     RasterFile,
     Span,
     box_deg,
     outline,
     plain_name,
 )
+from spl_batch.airborne.settings import SurveySettings
 from spl_batch.errors import plain
 from spl_batch.formats.files.atomic import write_bytes
 
@@ -94,7 +94,7 @@ def _collection(delivery: Delivery, items: Sequence[Record]) -> Record:
     boxes = [item["bbox"] for item in items]
     flat = [box if len(box) == 4 else [*box[:2], *box[3:5]] for box in boxes]
     west, south, east, north = zip(*flat, strict=True)
-    licence = delivery.publisher.licence
+    licence = delivery.survey.licence
     is_url = licence is not None and "://" in licence
     return {
         "type": "Collection",
@@ -113,7 +113,7 @@ def _collection(delivery: Delivery, items: Sequence[Record]) -> Record:
         },
         "license": "other" if licence is None or is_url else licence,
         "providers": [
-            *_producer(delivery.publisher),
+            *_producer(delivery.survey),
             {"name": SOFTWARE, "roles": ["processor"]},
         ],
     }
@@ -127,12 +127,12 @@ def _moment(time: dt.datetime) -> str:
     return time.isoformat().replace("+00:00", "Z")
 
 
-def _producer(publisher: Publisher) -> list[Record]:
+def _producer(survey: SurveySettings) -> list[Record]:
     """Who delivers, as far as it is known."""
-    name = publisher.organisation or publisher.contact
+    contact = survey.contact
+    name = survey.organisation or contact
     if name is None:
         return []
-    contact = publisher.contact
     words = {} if contact is None else {"description": f"Contact: {plain(contact)}"}
     return [{"name": plain(name), **words, "roles": ["producer"]}]
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.report.profile_strips import WIDTH_M, best_strip, strip_sums
-from spl_batch.airborne.store.label_tables import read_labelled_tile, units_within
+from spl_batch.airborne.store.label_tables import read_region, units_within
 from spl_batch.constants import NOISE_NOT_ASSESSED, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.formats.rasters.parts import RasterPart
@@ -88,7 +88,7 @@ def _classes(runs: Sequence[Outcome], tile: CellId) -> Iterator[NDArray[np.uint8
         if str(tile) in run.done.get("build_tile", {}):
             region = cell_bounds(tile, quanta(run.context.workflow.tiling.tile_m))
             labels = units_within(region, ["noise_class"], run.done)
-            table = read_labelled_tile(run.context.store, tile, ("x",), labels)
+            table, _ = read_region(run.context.store, [tile], None, ("x",), labels)
             yield table["noise_class"]
 
 

@@ -23,7 +23,6 @@ from spl_batch.airborne.first_use.clouds import (
 )
 from spl_batch.airborne.plan.inputs.survey_inputs import NO_POINTS
 from spl_batch.airborne.sensors.sensor import load_preset
-from spl_batch.airborne.settings import OutputSettings
 from spl_batch.airborne.settings.workflow import Workflow, load_workflow
 from spl_batch.engine.plan.input_files import matching
 from spl_batch.engine.report.number_format import as_ascii, of_all
@@ -152,7 +151,9 @@ def denoise(
             shutil.move(path, temporary)
     if found.exit_status == 0:
         remove(folder)
-    return RunResult(found.exit_status, cloud.parent, None, rows, _found(list(moves.values())))
+    *rasters, _ = moves.values()
+    shown = ("cloud", [cloud]), ("terrain", rasters)
+    return RunResult(found.exit_status, cloud.parent, None, rows, shown)
 
 
 @contextmanager
@@ -199,16 +200,13 @@ def _refuse(
 
 def _refuse_other_files(workflow: Workflow) -> None:
     """Refuse settings that ask for files beside the cloud and the terrain."""
-    asked = [f"outputs.{key}" for key in _IN_OTHER_FILES if _is_asked(workflow.outputs, key)]
+    given = {key: getattr(workflow.outputs, key) for key in _IN_OTHER_FILES}
+    asked = [f"outputs.{key}" for key, value in given.items() if value not in {None, False, "none"}]
     if asked:
         raise WorkflowError(
             f"{', '.join(asked)}: denoise writes one cloud and the terrain alone; `spl-batch init` "
             "writes a workflow, and `spl-batch run` makes these files"
         )
-
-
-def _is_asked(outputs: OutputSettings, key: str) -> bool:
-    return getattr(outputs, key) not in {None, False, "none"}
 
 
 def _moved(folder: Path) -> Mapping[str, list[int]]:
@@ -324,8 +322,3 @@ def _counts(delivered: Receipt, *, ground: bool) -> Iterator[tuple[str, str]]:
     for name, n in counts:
         if n or name != "not assessed":
             yield name, f"{grouped(n)} ({as_ascii(of_all(n, whole))})"
-
-
-def _found(results: Sequence[Path]) -> tuple[tuple[str, list[Path]], ...]:
-    *rasters, cloud = results
-    return ("cloud", [cloud]), ("terrain", rasters)

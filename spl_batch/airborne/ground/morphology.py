@@ -3,13 +3,15 @@
 An octagon is a square widened by a diamond. A diamond is a run along one diagonal, widened along
 the other, and by a cross, which joins both colours of a chessboard. The greatest value in a run of
 cells is that of two shorter ones that overlap, so that runs double: each step takes the greater of
-cells that are shifted.
+cells that are shifted, in place.
 
 Heights are kept in single precision, half a millimetre at 8 km; rounding keeps their order.
 """
 
 import numpy as np
 from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
 
 Heights = NDArray[np.float32]
 Grid = NDArray[np.float64]
@@ -71,24 +73,61 @@ def opening(heights: Heights, radius: int) -> Heights:
 
 
 def _widened(heights: Heights, square: int, diamond: int) -> Heights:
-    """Greatest height in an octagon around each cell that is its radius off the edges."""
-    heights = _greatest(heights, 2 * square + 1, 1, 0)
-    heights = _greatest(heights, 2 * square + 1, 0, 1)
+    """Greatest height in an octagon around each cell that is its radius off the edges.
+
+    ``heights`` is written over.
+    """
+    rows, columns = (size - 2 * (square + diamond) for size in heights.shape)
+    _greatest(heights, 2 * square + 1, 1, 0)
+    _greatest(heights, 2 * square + 1, 0, 1)
     if diamond:
-        across = _greatest(heights[1:-1], 3, 0, 1)
-        along = _greatest(heights[:, 1:-1], 3, 1, 0)
-        heights = np.maximum(across, along)
-        heights = _greatest(heights, diamond, 1, 1)
-        heights = _greatest(heights[::-1], diamond, 1, 1)[::-1]
-    return heights
+        heights = _crossed(heights)
+        _greatest(heights, diamond, 1, 1)
+        _greatest(heights, diamond, 1, -1)
+    left = max(diamond - 1, 0)
+    return heights[:rows, left : left + columns]
 
 
-def _greatest(heights: Heights, length: int, down: int, right: int) -> Heights:
-    """Greatest of so many cells on the way down, to the right or both, put into the first."""
-    run = 1
-    while run < length:
-        step = min(run, length - run)
-        rows, columns = len(heights) - step * down, heights.shape[1] - step * right
-        heights = np.maximum(heights[:rows, :columns], heights[step * down :, step * right :])
-        run += step
-    return heights
+@njit()
+def _greatest(heights: Heights, length: int, down: int, right: int) -> None:
+    """Put the greatest of so many cells on the way into the first of them.
+
+    The way leads down, to a side (``right`` -1 or 1) or both, one cell at a time. Where it leaves
+    the grid nothing is known. Rows go through all steps together, while they are at hand.
+    """
+    rows, columns = heights.shape
+    beside = np.empty(columns, np.float32)
+    for i in range(rows):
+        at, run = i, 1
+        while run < length:
+            step = min(run, length - run)
+            run += step
+            other = heights[at]
+            at -= step * down
+            if at < 0:
+                break
+            if down == 0:
+                for c in range(columns):
+                    beside[c] = other[c]
+                other = beside
+            first, shift = max(-step * right, 0), step * right
+            last = columns - max(shift, 0)
+            _raise_to(heights[at, first:last], other[first + shift : last + shift])
+
+
+@njit()
+def _crossed(heights: Heights) -> Heights:
+    """Greatest of each cell that is off the edges and the four beside it."""
+    out = np.empty((len(heights) - 2, heights.shape[1] - 2), np.float32)
+    for r in range(len(out)):
+        above, row, below, found = heights[r], heights[r + 1], heights[r + 2], out[r]
+        for c in range(len(found)):
+            found[c] = max(row[c], row[c + 1], row[c + 2], above[c + 1], below[c + 1])
+    return out
+
+
+@njit()
+def _raise_to(heights: Heights, others: Heights) -> None:
+    """Put the greater of two rows into the first."""
+    for i in range(len(heights)):
+        heights[i] = max(heights[i], others[i])

@@ -30,7 +30,6 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.ground.scales import DEPTH_M, ROUGH_M, WALL_M
 from spl_batch.numerics.compiled import njit
-from spl_batch.numerics.sorting import order_of
 
 _OUTVOTE = 6
 """Agreeing pairs for each that speaks for the node: along a ditch, two do [count]."""
@@ -119,7 +118,7 @@ def _pair_heights(
 
 @njit()
 def _below(height: NDArray[np.float64], firm: NDArray[np.int64], z: float, share: int) -> bool:
-    """Whether most heights agree with each other above ``z`` and few with ``z``.
+    """Whether most heights agree with each other above ``z`` and few with ``z``; sorts them.
 
     Far above, they need ``share`` firm ends for each pair, of two.
     """
@@ -134,17 +133,22 @@ def _below(height: NDArray[np.float64], firm: NDArray[np.int64], z: float, share
         higher += h > z + DEPTH_M
     if higher < max(_ENOUGH, _OUTVOTE * own):
         return False
-    order = order_of(height)
+    for i in range(1, pairs):  # pairs are few
+        h, f, k = height[i], firm[i], i
+        while k > 0 and height[k - 1] > h:
+            height[k], firm[k] = height[k - 1], firm[k - 1]
+            k -= 1
+        height[k], firm[k] = h, f
     end = ends = 0
     for first in range(pairs):
-        low = height[order[first]]
-        while end < pairs and height[order[end]] <= low + 2.0 * ROUGH_M:
-            ends += firm[order[end]]
+        low = height[first]
+        while end < pairs and height[end] <= low + 2.0 * ROUGH_M:
+            ends += firm[end]
             end += 1
         agreeing = end - first
         if agreeing >= max(_ENOUGH, _OUTVOTE * own) and low > z + DEPTH_M:
             near = low <= z + WALL_M and 2 * agreeing >= end
             if near or (2 * agreeing >= pairs and ends >= share * agreeing):
                 return True
-        ends -= firm[order[first]]
+        ends -= firm[first]
     return False

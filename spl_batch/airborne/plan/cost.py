@@ -21,7 +21,7 @@ from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.plan.budget import Cost, measured_rates
 from spl_batch.formats.units import Units
 from spl_batch.lattice import density
-from spl_batch.lattice.tiles import Bounds
+from spl_batch.lattice.tiles import Bounds, quanta
 
 STORE_BYTES_PER_POINT: Final = 60
 """Working store, all of it [byte]."""
@@ -41,7 +41,7 @@ RATES_POINTS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
         "ground": 1.5e6,
         "surfaces": 1.05e6,
         "deliver": 2.9e6,
-        "report": 0.28e6,
+        "report": 0.85e6,
     }
 )
 """Points per second and worker until a store has measured its own, those of ``report`` of the
@@ -53,9 +53,9 @@ TASK_S: Final[Mapping[str, float]] = MappingProxyType(
         "index": 0.01,
         "shots": 0.005,
         "shuffle": 0.015,
-        "denoise": 1.5,
-        "ground": 0.4,
-        "surfaces": 0.35,
+        "denoise": 1.0,
+        "ground": 0.3,
+        "surfaces": 0.3,
         "deliver": 0.03,
         "report": 0.02,
     }
@@ -93,9 +93,8 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
         pieces, [box.bounds for box in boxes], workflow, survey.memory_bytes, survey.workers
     )
     side = denoised.grid.edge // survey.tile_q
-    tiles, cells = (
-        sum(piece.units(edge) for piece in pieces) for edge in (survey.tile_q, survey.cell_q)
-    )
+    edges = survey.tile_q, quanta(workflow.ground.cell_m)
+    tiles, cells = (sum(piece.units(edge) for piece in pieces) for edge in edges)
     stretches = sum(-(-s.facts.n_points // STRETCH_POINTS) for s in sources)
     files = [s.facts.n_points for s in sources]
     units = Units.of(survey.inputs.crs)

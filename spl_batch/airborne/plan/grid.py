@@ -56,7 +56,6 @@ def strip_q(workflow: Workflow) -> int:
 class Unit(NamedTuple):
     """A cell that owns points."""
 
-    name: str
     cell: CellId  #: Its column and row.
     core: Bounds  #: What it owns [quanta].
     tiles: tuple[CellId, ...]  #: Tiles with points in its core or margin.
@@ -140,7 +139,7 @@ def _unit(
         held += counts[tile] * shared(bounds, reach).area_m2 / bounds.area_m2
         owned += counts[tile] if overlap(bounds, core) else 0
     # shares of tiles add up to whole points, but for the last bit of a sum
-    return Unit(str(cell), cell, core, tuple(near), int(owned), math.ceil(round(held, 6)))
+    return Unit(cell, core, tuple(near), int(owned), math.ceil(round(held, 6)))
 
 
 def _occupied(counts: Mapping[CellId, int], region: Bounds, tile_q: int) -> list[CellId]:

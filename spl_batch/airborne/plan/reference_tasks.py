@@ -1,12 +1,13 @@
 """What results are compared with: reference points, by files and by squares; checkpoints."""
 
 import math
+from collections import Counter
 from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
 
-from spl_batch.airborne.plan.space_tasks import labels_of
+from spl_batch.airborne.plan.space_tasks import points_of
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import UNEVEN, points_within, refusal
 from spl_batch.engine.plan.input_files import source_key
@@ -52,11 +53,11 @@ def accuracy(survey: Survey) -> Iterator[Task]:
     if not {"dtm", "dsm"} <= survey.of("mosaic").keys():
         return
     files: dict[str, list[str]] = {}
-    points: dict[str, int] = {}
+    points = Counter[str]()
     for name, receipt in sorted(survey.of("reference").items()):
         for square, count in receipt.facts["squares"].items():
             files.setdefault(square, []).append(name)
-            points[square] = points.get(square, 0) + count
+            points[square] += count
     made = survey.of("mosaic")
     rasters = [name for name in COMPARED if name in made]
     edge, _ = _lattice(survey)
@@ -69,11 +70,13 @@ def accuracy(survey: Survey) -> Iterator[Task]:
             "rasters": rasters,
             "tiles": [str(tile) for tile in tiles],
         }
-        needs = [*(("reference", name) for name in files[square])]
-        needs += [("mosaic", name) for name in rasters]
-        needs += labels_of(survey, tiles, "denoise")
+        needs = (
+            *(("reference", name) for name in files[square]),
+            *(("mosaic", name) for name in rasters),
+            *points_of(survey, tiles, "denoise"),
+        )
         refused = refusal("accuracy", points[square], survey.memory_bytes)
-        yield Task("accuracy", square, args, tuple(needs), points[square], refused)
+        yield Task("accuracy", square, args, needs, points[square], refused)
 
 
 def _tiles_of(survey: Survey, square: str, edge: int) -> list[CellId]:
@@ -114,8 +117,7 @@ def _lattice(survey: Survey) -> tuple[int, int]:
     """
     cell = quanta(survey.workflow.products.cell_m)
     margin = max(quanta(MARGIN_M), MARGIN_CELLS * cell)
-    used = survey.inputs.reference.usable
-    boxes = [facts for facts in used if facts.n_points]
+    boxes = [facts for facts in survey.inputs.reference.usable if facts.n_points]
     area_m2 = sum(facts.area_m2 for facts in boxes)
     points = sum(facts.n_points for facts in boxes)
     held = min(SQUARE_POINTS, points_within("accuracy", survey.memory_bytes) // UNEVEN)

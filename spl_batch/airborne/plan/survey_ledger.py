@@ -1,9 +1,8 @@
 """What a run knows about its survey: inputs, limits, and what is finished so far."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,26 +16,12 @@ from spl_batch.airborne.tasks.index import part_name
 from spl_batch.engine.tasks.ledger import Ledger
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.lattice.density import from_counts
-from spl_batch.lattice.tiles import Bounds, CellId, quanta
+from spl_batch.lattice.tiles import Bounds, CellId, quanta, whole_cells
 
 
 def _most_timed(indexed: tuple[str, Receipt]) -> tuple[int, str]:
     key, receipt = indexed
     return int(receipt.facts["timeless"]) - int(receipt.facts["points"]), key
-
-
-class Pieces(NamedTuple):
-    """Parts of input files that hold points of a point source id."""
-
-    names: list[str]  #: What the files of the store that hold them are called.
-    #: (p,): times of the first and the last of these points [s].
-    first_s: NDArray[np.float64]
-    last_s: NDArray[np.float64]
-
-    def within(self, low_s: float, high_s: float) -> list[str]:
-        """Names of those that can have points of a time [s]."""
-        near = np.flatnonzero((self.first_s <= high_s) & (self.last_s >= low_s))
-        return [self.names[k] for k in near.tolist()]
 
 
 @dataclass
@@ -64,24 +49,38 @@ class Survey(Ledger[Inputs, Workflow]):
         """Flightlines with times, also of a survey that is not filtered; complete likewise."""
         return find_flightlines(self.of("index_file"), self.workflow)
 
-    @cached_property
-    def pieces(self) -> dict[int, Pieces]:
-        """What of the input holds points of each point source id; complete once the index is.
+    def parts_between(self, psid: int, low_s: float, high_s: float) -> list[str]:
+        """What of the input can hold points of an id and a time [s]; complete once the index is.
 
         Files with most usable times come first: of returns that several hold theirs count, not
         those of a copy whose times are broken.
         """
-        found: dict[int, list[tuple[str, float, float]]] = {}
+        names, ends = self._parts[psid]
+        near = np.flatnonzero((ends[:, 0] <= high_s) & (ends[:, 1] >= low_s))
+        return [names[k] for k in near.tolist()]
+
+    @cached_property
+    def _parts(self) -> dict[int, tuple[list[str], NDArray[np.float64]]]:
+        """Parts of files by point source id, first and last time of their points: (p, 2) [s]."""
+        found: dict[int, tuple[list[str], list[list[float]]]] = {}
         for key, receipt in sorted(self.of("index_file").items(), key=_most_timed):
             if is_timeless(receipt, self.workflow):
                 continue
             for k, held in enumerate(receipt.facts["parts"]):
-                for psid, (first, last) in held.items():
-                    found.setdefault(int(psid), []).append((part_name(key, k), first, last))
-        return {
-            psid: Pieces([n for n, _, _ in listed], *np.array([ends for _, *ends in listed]).T)
-            for psid, listed in found.items()
-        }
+                for psid, ends in held.items():
+                    names, listed = found.setdefault(int(psid), ([], []))
+                    names.append(part_name(key, k))
+                    listed.append(ends)
+        return {psid: (names, np.array(listed)) for psid, (names, listed) in found.items()}
+
+    @cached_property
+    def positions(self) -> Mapping[str, str]:
+        """Hashes of the trajectory by span: a night that is added leaves those of others alone.
+
+        Complete once the index is.
+        """
+        receipt = self.of("trajectory").get("all")
+        return receipt.facts["positions"] if receipt else {}
 
     @cached_property
     def counts(self) -> dict[CellId, int]:
@@ -94,10 +93,6 @@ class Survey(Ledger[Inputs, Workflow]):
         pieces = list(from_counts(self.counts, self.tile_q))
         limits = self.memory_bytes, self.workers
         return denoise_grid(pieces, self._extents, self.workflow, *limits).grid
-
-    def denoise_cells(self) -> Iterator[Unit]:
-        """Cells of ``denoise``; complete once the shuffle is."""
-        return self.denoise_grid.units(self.counts, self.tile_q, self.halo_q)
 
     def ground_cells(self, margin_q: int) -> Iterator[Unit]:
         """Ground cells with a margin [quanta]; complete once the shuffle is."""
@@ -112,17 +107,24 @@ class Survey(Ledger[Inputs, Workflow]):
     def _extents(self) -> list[Bounds]:
         """Bounding boxes of the files' points; complete once the index is [quanta]."""
         return [Bounds(west, south, east + 1, north + 1)
-                for west, south, _, east, north, _ in _boxes(self)]  # fmt: skip
+                for west, south, _, east, north, _ in self._boxes]  # fmt: skip
+
+    @property
+    def bounds(self) -> list[int]:
+        """Box around all points: x, y, z, x, y, z; complete once the index is [quanta]."""
+        ends = [*zip(*self._boxes, strict=True)]
+        return [*map(min, ends[:3]), *map(max, ends[3:])]
+
+    @property
+    def _boxes(self) -> list[Sequence[int]]:
+        """The same of the points of each file that holds some."""
+        indexed = self.of("index_file").values()
+        return [r.facts["bounds"] for r in indexed if r.facts["bounds"]]
 
     @property
     def tile_q(self) -> int:
         """Edge of a tile [quanta]."""
         return quanta(self.workflow.tiling.tile_m)
-
-    @property
-    def cell_q(self) -> int:
-        """Edge of a ground cell [quanta]."""
-        return quanta(self.workflow.ground.cell_m)
 
     @property
     def halo_q(self) -> int:
@@ -132,28 +134,13 @@ class Survey(Ledger[Inputs, Workflow]):
 
 def timeless_sources(survey: Survey) -> list[Source]:
     """Files whose points have no usable time although the chain needs it."""
-    indexed = survey.of("index_file")
-    return [
-        s
-        for s in survey.inputs.sources
-        if survey.filtering
-        and str(s.key) in indexed
-        and is_timeless(indexed[str(s.key)], survey.workflow)
-    ]
+    indexed = survey.of("index_file") if survey.filtering else {}
+    there = (source for source in survey.inputs.sources if str(source.key) in indexed)
+    return [one for one in there if is_timeless(indexed[str(one.key)], survey.workflow)]
 
 
 def mosaic_bounds(survey: Survey) -> Bounds:
     """Whole raster cells around the points of the survey."""
+    west, south, _, east, north, _ = survey.bounds
     pixel = quanta(survey.workflow.products.cell_m)
-    west, south, _, east, north, _ = zip(*_boxes(survey), strict=True)
-    return Bounds(
-        min(west) // pixel * pixel,
-        min(south) // pixel * pixel,
-        (max(east) // pixel + 1) * pixel,
-        (max(north) // pixel + 1) * pixel,
-    )
-
-
-def _boxes(survey: Survey) -> list[Sequence[int]]:
-    """Bounding boxes of the points of the files that hold some: x, y, z, x, y, z [quanta]."""
-    return [r.facts["bounds"] for r in survey.of("index_file").values() if r.facts["bounds"]]
+    return whole_cells(Bounds(west, south, east + 1, north + 1), pixel)

@@ -146,10 +146,8 @@ def needs(
     ``units``: in which places are named.
     """
     points, most = sum(files), max(files, default=0)
-    labels = min(most, PASS_POINTS) * BYTES_PER_LABEL
-    further = BYTES_PER_DIAGNOSTIC * workflow.outputs.diagnostics
-    further += BYTES_PER_HEIGHT * workflow.outputs.height_above_ground
-    labels += labels // BYTES_PER_LABEL * further
+    of_a_point = BYTES_PER_LABEL + BYTES_PER_DIAGNOSTIC * workflow.outputs.diagnostics
+    of_a_point += BYTES_PER_HEIGHT * workflow.outputs.height_above_ground
     records = sum(_records(path) for path in trajectory)
     found = list(_cells(pieces, workflow, side, units))
     if workflow.outputs.copc:
@@ -166,7 +164,7 @@ def needs(
         ),
         Need(
             "a file's labels",
-            task_bytes("deliver_tile", tiles.points) + labels,
+            task_bytes("deliver_tile", tiles.points) + min(most, PASS_POINTS) * of_a_point,
             "lower tiling.tile_m",
         ),
         Need(

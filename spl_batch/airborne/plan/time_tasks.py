@@ -5,18 +5,20 @@ steps. What failed there is left out: its points stay unlabelled, the rest goes 
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import accumulate
 from pathlib import Path
 from typing import Any, Final
+
+import numpy as np
 
 from spl_batch.airborne.filter.published import OF_SHOTS
 from spl_batch.airborne.plan.flightlines import Flightline
 from spl_batch.airborne.plan.inputs.survey_inputs import source_args
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.tasks.index import POSITIONS_S, part_name, part_range, parts_of
+from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.plan.input_files import source_key
 from spl_batch.engine.tasks.input_changes import stamp_if_there
-from spl_batch.engine.tasks.task import Task
+from spl_batch.engine.tasks.task import Need, Task
 
 POSITIONS_MARGIN_S = 30.0
 """More than the longest gap of a trajectory that is interpolated over, and leap seconds [s]."""
@@ -77,14 +79,11 @@ def trajectory(survey: Survey) -> Iterator[Task]:
     sound = [path for path in survey.inputs.trajectory if _file_task(path) in checked]
     if not sound or not lines:
         return
-    facts = [r.facts for r in survey.of("index_file").values() if r.facts["bounds"]]
-    low = [min(f["bounds"][a] for f in facts) / 1000 for a in range(3)]
-    high = [max(f["bounds"][a + 3] for f in facts) / 1000 for a in range(3)]
     args = {
         "paths": [str(path) for path in sound],
         "stamps": [stamp_if_there(path) for path in sound],
         "time_span_s": _time_of_most(lines),
-        "bounds_m": [*low, *high],
+        "bounds_m": [end / QUANTA_PER_M for end in survey.bounds],
     }
     needs = tuple(("trajectory_file", _file_task(path)) for path in sound)
     yield Task("trajectory", "all", args, needs)
@@ -97,13 +96,10 @@ def _time_of_most(lines: Sequence[Flightline]) -> list[float]:
     in which week a trajectory was flown.
     """
     ordered = sorted(lines, key=lambda line: line.first_s)
-    upto = list(accumulate(line.points for line in ordered))
-    few = FEW_POINTS * upto[-1]
-    most = [
-        line
-        for line, end in zip(ordered, upto, strict=True)
-        if end > few and upto[-1] - end + line.points > few
-    ]
+    points = np.array([line.points for line in ordered])
+    upto = np.cumsum(points)
+    enough = np.minimum(upto, upto[-1] - upto + points) > FEW_POINTS * upto[-1]
+    most = [ordered[k] for k in np.flatnonzero(enough).tolist()]
     return [most[0].first_s, max(line.last_s for line in most)]
 
 
@@ -120,15 +116,10 @@ def observe(survey: Survey) -> Iterator[Task]:
 
 def _of_stretches(kind: str, survey: Survey) -> Iterator[Task]:
     """Tasks of all stretches, whether they hold points or not."""
-    positions = _positions(survey)
     for line in survey.flightlines:
-        stretches = list(line.stretches())
+        stretches, needs = list(line.stretches()), _line_needs(survey, line)
         for name, k in stretches:
-            args = {
-                **_stretch_args(survey, line, name, k),
-                "positions": _near(positions, line, k),
-            }
-            needs = (*_files(line), *_path_needs(survey, line))
+            args = _stretch_args(survey, line, name, k)
             yield Task(kind, name, args, needs, line.points // len(stretches))
 
 
@@ -140,27 +131,19 @@ def _with_points(kind: str, survey: Survey, line: Flightline) -> list[tuple[str,
 
 def sensor_path(survey: Survey) -> Iterator[Task]:
     """Flightlines whose sensor's path is looked for, without a trajectory."""
-    if survey.inputs.trajectory:
-        return
-    for line in survey.flightlines:
-        names = [name for name, _ in _with_points("sights", survey, line)]
-        if names:
-            args = {
-                "line": line.name,
-                "psid": line.psid,
-                "sources": list(line.sources),
-                "stretches": names,
-                "points": line.points,
-                "span_s": [line.first_s, line.last_s],
-            }
-            needs = (*_files(line), *(("sights", n) for n in names))
-            yield Task("sensor_path", line.name, args, needs)
+    if not survey.inputs.trajectory:
+        yield from _of_lines("sensor_path", "sights", survey)
 
 
 def fit_line(survey: Survey) -> Iterator[Task]:
     """Flightlines whose noise and afterpulses are fitted."""
+    yield from _of_lines("fit_line", "observe", survey)
+
+
+def _of_lines(kind: str, of: str, survey: Survey) -> Iterator[Task]:
+    """Tasks of the flightlines in some of whose stretches an earlier step has found points."""
     for line in survey.flightlines:
-        names = [name for name, _ in _with_points("observe", survey, line)]
+        names = [name for name, _ in _with_points(of, survey, line)]
         if names:
             args = {
                 **_line_args(survey, line),
@@ -170,7 +153,7 @@ def fit_line(survey: Survey) -> Iterator[Task]:
                 "stretch_s": line.stretch_shots / line.clock.prf_hz,
                 "prf_basis": line.prf_basis,
             }
-            yield Task("fit_line", line.name, args, tuple(("observe", n) for n in names))
+            yield Task(kind, line.name, args, tuple((of, name) for name in names))
 
 
 def scatter(survey: Survey) -> Iterator[Task]:
@@ -179,17 +162,17 @@ def scatter(survey: Survey) -> Iterator[Task]:
     # Only filters of single shots read what shots say: the others share the points as they are.
     method = filtering.method
     of_shots = {method: getattr(filtering, method).model_dump()} if method in OF_SHOTS else None
-    positions = _positions(survey)
     for line in survey.flightlines:
         if line.name not in survey.of("fit_line"):
             continue
         for name, k in _with_points("observe", survey, line):
-            args = {**_stretch_args(survey, line, name, k), "timeless": False}
-            args["of_shots"] = of_shots
-            args["positions"] = _near(positions, line, k)
-            args["polygons"] = survey.inputs.checksums("aoi", "water")
-            needs = (*_files(line), ("observe", name), ("fit_line", line.name))
-            needs += _path_needs(survey, line)
+            args = {
+                **_stretch_args(survey, line, name, k),
+                "timeless": False,
+                "of_shots": of_shots,
+                "polygons": survey.inputs.checksums("aoi", "water"),
+            }
+            needs = (*_line_needs(survey, line), ("observe", name), ("fit_line", line.name))
             yield Task("scatter", name, args, needs, survey.of("observe")[name].points)
     if not survey.filtering:
         yield from _ranges(survey)
@@ -234,36 +217,28 @@ def _line_args(survey: Survey, line: Flightline) -> dict[str, object]:
 
 def _stretch_args(survey: Survey, line: Flightline, name: str, k: int) -> dict[str, object]:
     """Where the points of a stretch are, and what is known of its flightline."""
-    low_s, high_s = line.window_s(k)
-    held = survey.pieces[line.psid].within(max(low_s, line.first_s), min(high_s, line.last_s))
+    window = line.window_s(k)
+    low_s, high_s = max(window[0], line.first_s), min(window[1], line.last_s)
     return {
         **_line_args(survey, line),
         "stretch": name,
-        "sources": held,
+        "sources": survey.parts_between(line.psid, low_s, high_s),
         "shots": [k * line.stretch_shots, (k + 1) * line.stretch_shots],
-        "window_s": [low_s, high_s],
+        "window_s": list(window),
         "span_s": [line.first_s, line.last_s],
+        "positions": _near(survey.positions, low_s, high_s),
     }
 
 
-def _files(line: Flightline) -> tuple[tuple[str, str], ...]:
-    """Tasks that have read the files of a flightline."""
-    return tuple(("index_file", key) for key in line.sources)
+def _line_needs(survey: Survey, line: Flightline) -> tuple[Need, ...]:
+    """Tasks that have read the files of a flightline, and the one that found its sensor's path."""
+    files = (("index_file", key) for key in line.sources)
+    path = (("sensor_path", line.name),) if line.name in survey.of("sensor_path") else ()
+    return (*files, *path)
 
 
-def _positions(survey: Survey) -> Mapping[str, str]:
-    """Hashes of the trajectory by span: a night that is added leaves those of others alone."""
-    receipt = survey.of("trajectory").get("all")
-    return receipt.facts["positions"] if receipt else {}
-
-
-def _near(positions: Mapping[str, str], line: Flightline, k: int) -> list[str]:
-    """Hashes of the positions that beams of a stretch are interpolated from."""
-    low_s, high_s = line.window_s(k)
-    first = int((max(low_s, line.first_s) - POSITIONS_MARGIN_S) // POSITIONS_S)
-    last = int((min(high_s, line.last_s) + POSITIONS_MARGIN_S) // POSITIONS_S)
+def _near(positions: Mapping[str, str], low_s: float, high_s: float) -> list[str]:
+    """Hashes of the positions that beams of a span of time are interpolated from."""
+    first = int((low_s - POSITIONS_MARGIN_S) // POSITIONS_S)
+    last = int((high_s + POSITIONS_MARGIN_S) // POSITIONS_S)
     return [positions.get(str(span), "") for span in range(first, last + 1)]
-
-
-def _path_needs(survey: Survey, line: Flightline) -> tuple[tuple[str, str], ...]:
-    return (("sensor_path", line.name),) if line.name in survey.of("sensor_path") else ()

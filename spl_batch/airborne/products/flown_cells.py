@@ -11,14 +11,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import convolve
-from scipy.spatial import KDTree
 
 from spl_batch.airborne.products.cell_values import cell_number, held, shape_of
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
-from spl_batch.numerics.nearest_cells import within_discs
+from spl_batch.numerics.nearest_cells import distances
 from spl_batch.numerics.nearest_heights import NEAREST
+from spl_batch.numerics.neighbours.place_grid import PlaceGrid
 
 NEAR_GROUND_M: Final = 10.0
 """How far above or below the ground around a return counts [m]: a beam that leans by 15 degrees is
@@ -48,7 +48,7 @@ def about_ground(
     asked = ~amid.ravel()[number]
     cells, of_cell = np.unique(number[asked], return_inverse=True)
     centres = (np.column_stack([cells % columns, cells // columns]) + 0.5) * size
-    nearest = KDTree(ground[:, :2]).query(centres, np.arange(min(NEAREST, len(ground))) + 1)[1]
+    nearest = PlaceGrid.of(ground).nearest(centres, min(NEAREST, len(ground)))
     height = np.median(ground[nearest, 2], axis=1)[of_cell]
     rows = rows[asked]
     there[rows] = np.abs(table["z"][rows] - height) <= quanta(NEAR_GROUND_M)
@@ -76,8 +76,8 @@ def close(cells: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
     """
     if not cells.any():
         return cells
-    near = within_discs(cells, reach)
+    near = distances(cells) <= reach
     if near.all():
         return np.ones_like(cells)
-    closed: NDArray[np.bool_] = cells | ~within_discs(~near, reach)
+    closed: NDArray[np.bool_] = cells | (distances(~near) > reach)
     return closed

@@ -29,7 +29,7 @@ from scipy import ndimage
 
 from spl_batch.airborne.products.cell_values import at_centres, held, owned, shape_of
 from spl_batch.constants import QUANTUM_M
-from spl_batch.lattice.distinct import distinct
+from spl_batch.lattice.row_order import distinct
 from spl_batch.lattice.tiles import Bounds, grow, quanta
 
 SPACINGS: Final[Mapping[str, int]] = {"QL1": 350, "QL2": 710, "QL3": 1410}

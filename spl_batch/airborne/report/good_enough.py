@@ -34,7 +34,8 @@ from spl_batch.airborne.report.model import (
     Swath,
 )
 from spl_batch.airborne.settings import ClassSettings
-from spl_batch.airborne.tasks import checkpoints, pulses
+from spl_batch.airborne.tasks import pulses
+from spl_batch.airborne.tasks.reference import checkpoint_results
 from spl_batch.constants import FOOT_M, QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.run_record import Receipts
@@ -85,7 +86,7 @@ def judged(done: Receipts, context: Context) -> tuple[Requirement, ...]:
 
 def checkpoint_report(done: Receipts, context: Context) -> Checkpoints | None:
     """What the checkpoints say; None where there are none."""
-    found = checkpoints.results(done.get("checkpoints", {}))
+    found = checkpoint_results(done.get("checkpoints", {}))
     nva, vva = _tested(done)
     if nva is None or vva is None:
         return None
@@ -132,7 +133,7 @@ def _tested(
     if not receipts:
         return None, None
     errors: dict[str, list[CheckpointError]] = {"open": [], "vegetated": []}
-    for one in checkpoints.results(receipts):
+    for one in checkpoint_results(receipts):
         if one["error_m"] is not None:
             errors[one["surface"]].append(
                 CheckpointError(one["id"], one["error_m"], one["accuracy_m"])

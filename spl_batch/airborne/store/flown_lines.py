@@ -40,6 +40,10 @@ class Pass(NamedTuple):
     last_s: float
 
 
+_PASSES: Final = np.dtype(list(zip(Pass._fields, ("i8", "U40", "i8", "f8", "f8"), strict=True)))
+"""A flightline as it is stored."""
+
+
 def numbers(psids: Sequence[int]) -> list[int]:
     """Numbers of flightlines, by their point source ids in the order of time.
 
@@ -127,27 +131,13 @@ class Shifts:
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Arrays by name, to be stored."""
-        columns = zip(*self.passes, strict=True) if self.passes else ((),) * len(_TYPES)
-        arrays: dict[str, NDArray[Any]] = {
-            name: np.array(values, dtype)
-            for (name, dtype), values in zip(_TYPES.items(), columns, strict=True)
-        }
-        return arrays | {"up_q": self._up[arrays["number"]]}
+        passes = np.array(self.passes, _PASSES)
+        return {"passes": passes, "up_q": self._up[passes["number"]]}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> "Shifts":
         """Shifts that :meth:`to_arrays` gave."""
-        rows = zip(*(arrays[name].tolist() for name in _TYPES), strict=True)
-        return cls([Pass(*row) for row in rows], arrays["up_q"])
-
-
-_TYPES: Final = {
-    "number": np.int64,
-    "name": np.str_,
-    "psid": np.int64,
-    "first_s": np.float64,
-    "last_s": np.float64,
-}
+        return cls([Pass(*row) for row in arrays["passes"].tolist()], arrays["up_q"])
 
 
 def read_shifts(args: Mapping[str, Any], store: Store) -> Shifts | None:

@@ -20,7 +20,6 @@ from spl_batch.formats.verified.parquet_npz import (
     Groups,
     groups_between,
     ranges_of,
-    read_table,
     reading,
     writing,
 )
@@ -85,17 +84,11 @@ def write_labels(path: Path, origin: Origin, labels: Mapping[str, NDArray[Any]])
     dtypes: dict[str, Any] = {"tile_i": np.int32, "tile_j": np.int32, "row": np.uint32}
     dtypes |= {name: COLUMNS[name].dtype for name in labels}
     tiles = {CellId(*tile) for tile in origin.tiles.tolist()}
-    written = 0
-    with writing(path, dtypes, sought=("tile_i", "tile_j", "row")) as writer:
+    with writing(path, dtypes, sought=("tile_i", "tile_j", "row"), rows=GROUP_ROWS) as writer:
         for tile in sorted(tiles, key=lambda tile: (tile.j, tile.i)):
             found = _of_tile(tile, origin, labels)
-            count = len(found["row"])
-            columns = {name: np.asarray(found[name], dtype) for name, dtype in dtypes.items()}
-            for first in range(0, count, GROUP_ROWS):
-                writer.write({k: v[first : first + GROUP_ROWS] for k, v in columns.items()})
-            written += count
-        if not written:
-            writer.write({name: np.empty(0, dtype) for name, dtype in dtypes.items()})
+            if len(found["row"]):
+                writer.write({name: np.asarray(found[name], dtypes[name]) for name in dtypes})
 
 
 def _of_tile(
@@ -128,9 +121,8 @@ class LabelFile:
             for name in ("tile_i", "tile_j", "row")
         )
         self._tile = np.stack([i[:, 0], j[:, 0]], axis=1)
-        held = self._rows[:, 1] >= self._rows[:, 0]  # an empty group has no bounds
         #: Columns and rows of the tiles that it labels points of.
-        self.tiles = {(i, j) for i, j in self._tile[held].tolist()}
+        self.tiles = {(i, j) for i, j in self._tile.tolist()}
 
     def read(
         self, tile: CellId, names: Sequence[str], rows: tuple[int, int]
@@ -160,32 +152,6 @@ Files = Callable[[Unit], LabelFile]
 def label_files(store: Store) -> Files:
     """Files of labels of a store."""
     return cache(lambda unit: LabelFile(store.table(*unit)))
-
-
-def read_labelled_tile(
-    store: Store,
-    tile: CellId,
-    columns: Sequence[str],
-    labels: Mapping[str, Sequence[Unit]],
-    files: Files | None = None,
-    shifts: Shifts | None = None,
-) -> PointTable:
-    """One tile's points with the labels that some units gave them.
-
-    Parameters
-    ----------
-    labels : mapping of str to sequence of (str, str)
-        Label -> units that may hold it.
-    files : Files, optional
-        From :func:`label_files`, where more tiles are read.
-    shifts : Shifts, optional
-        Shifts of flightlines that are added to the heights.
-    """
-    table = read_table(store.table("tiles", str(tile)), _read_for(columns, shifts))
-    if shifts is not None:
-        table = PointTable(shifts.shifted(table.columns)).select(columns)
-    found = _labels_of(files or label_files(store), tile, np.arange(len(table)), labels)
-    return table.with_columns(**found)
 
 
 def _labels_of(
@@ -228,13 +194,14 @@ def _met(
 def read_region(
     store: Store,
     tiles: Sequence[CellId],
-    bounds: Bounds,
+    bounds: Bounds | None,
     columns: Sequence[str],
     labels: Mapping[str, Sequence[Unit]],
     *,
     ordered: bool = True,
     keep: Callable[[PointTable], NDArray[np.bool_]] | None = None,
     shifts: Shifts | None = None,
+    files: Files | None = None,
 ) -> tuple[PointTable, Origin]:
     """Points of a region with labels, in canonical order or as they lie.
 
@@ -242,9 +209,11 @@ def read_region(
     ----------
     tiles : sequence of CellId
         Tiles that overlap the region and hold points.
+    bounds : Bounds or None
+        The region [quanta]; None takes the tiles as a whole.
     columns : sequence of str
-        Point columns to read; ``x`` and ``y`` at least.
-    labels : mapping
+        Point columns to read; of a region ``x`` and ``y`` at least.
+    labels : mapping of str to sequence of (str, str)
         Label -> units that may hold it.
     ordered : bool
         Whether to put points in canonical order; else they come tile by tile, in the order in
@@ -253,6 +222,8 @@ def read_region(
         Tells of each point by itself whether it is wanted; others are never held together.
     shifts : Shifts, optional
         Shifts of flightlines that are added to the heights.
+    files : Files, optional
+        From :func:`label_files`, where more is read.
 
     Returns
     -------
@@ -263,8 +234,9 @@ def read_region(
     """
     names = [*columns, *labels]
     held = sorted(tiles) if ordered else sorted(tiles, key=lambda tile: (tile.j, tile.i))
-    read = _read_for(columns, shifts)
-    span = {"x": (bounds.xmin, bounds.xmax - 1)}
+    # Which shift is a point's follows from its flightline.
+    read = columns if shifts is None else list(dict.fromkeys((*columns, "line")))
+    span = {} if bounds is None else {"x": (bounds.xmin, bounds.xmax - 1)}
     # A region is the largest thing that a worker holds. It is read into its place: many small
     # parts would leave gaps in a worker's memory in which nothing else fits. What of the room
     # is not needed is never touched.
@@ -274,12 +246,12 @@ def read_region(
     joined["row"] = np.empty(room, np.uint32)
     joined["owner"] = np.empty(room, np.min_scalar_type(len(held)))
     end = 0
-    files = label_files(store)
+    files = files or label_files(store)
     for k, tile in enumerate(held):
         values, row = parts[k].read(read)
         if shifts is not None:
             values = shifts.shifted(values)
-        chosen = _within(values["x"], values["y"], bounds)
+        chosen = slice(None) if bounds is None else _within(values["x"], values["y"], bounds)
         row = row[chosen]
         found = _labels_of(files, tile, row, labels)
         values = {name: values[name][chosen] for name in columns}
@@ -300,11 +272,6 @@ def read_region(
     cells = np.array(held, dtype=np.int32).reshape(-1, 2)
     origin = Origin(cells, joined.pop("owner"), joined.pop("row"))
     return PointTable(joined), origin
-
-
-def _read_for(columns: Sequence[str], shifts: Shifts | None) -> tuple[str, ...]:
-    """Columns that are read where some are asked for: what a flightline follows from, too."""
-    return tuple(columns if shifts is None else dict.fromkeys((*columns, "line")))
 
 
 def _within(x: NDArray[np.int64], y: NDArray[np.int64], bounds: Bounds) -> NDArray[np.intp] | slice:

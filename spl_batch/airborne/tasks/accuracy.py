@@ -76,7 +76,7 @@ def accuracy(args: Mapping[str, Any], context: Context) -> Produced:
         by_class = terrain_differences(terrain, known, chm=height, at_ground_m=at_ground_m)
         arrays |= _as_arrays("dtm", tallies(by_class))
         arrays |= _as_arrays("dsm", tallies(surface_differences(surface, known)))
-        arrays |= _as_arrays("returns", add_up(_of_returns(known, core, args, context)))
+        arrays |= _as_arrays("returns", _of_returns(known, core, args, context))
     path = context.store.path("accuracy", f"{square}.npz")
     write_arrays(path, arrays)
     return Produced([path], {"own": _own_points(known, args["tiles"], context)}, points)
@@ -84,10 +84,10 @@ def accuracy(args: Mapping[str, Any], context: Context) -> Produced:
 
 def _of_returns(
     known: Reference, core: Bounds, args: Mapping[str, Any], context: Context
-) -> Iterator[Tallies]:
-    """Kept returns of a square against the reference, a tile at a time."""
+) -> Tallies:
+    """Kept returns of a square against the reference."""
     if context.workflow.filter.method == "none":
-        return
+        return {}
     labels, shifts = units_of(args, ["noise_class"]), read_shifts(args, context.store)
 
     def chosen(table: PointTable) -> NDArray[np.bool_]:
@@ -95,13 +95,12 @@ def _of_returns(
         wanted: NDArray[np.bool_] = some & (table["noise_class"] == NOISE_SIGNAL)
         return wanted
 
-    for tile in map(parse_cell, args["tiles"]):
-        held, _ = read_region(
-            context.store, [tile], core, ("x", "y", "z"), labels, ordered=False,
-            keep=chosen, shifts=shifts,
-        )  # fmt: skip
-        xyz = np.column_stack([held[axis] * QUANTUM_M for axis in "xyz"])
-        yield tallies(return_differences(xyz, known))
+    held, _ = read_region(
+        context.store, list(map(parse_cell, args["tiles"])), core, ("x", "y", "z"), labels,
+        ordered=False, keep=chosen, shifts=shifts,
+    )  # fmt: skip
+    xyz = np.column_stack([held[axis] * QUANTUM_M for axis in "xyz"])
+    return tallies(return_differences(xyz, known))
 
 
 def _own_points(known: Reference, tiles: Sequence[str], context: Context) -> tuple[int, int]:
@@ -160,9 +159,7 @@ def compared(done: Receipts, context: Context) -> Comparison | None:
     Raises DamagedError if what a square found is missing or damaged.
     """
     settings = context.workflow.reference
-    if settings is None or settings.points is None:
-        return None
-    if not _comparable(context) or not _looked_at(done):
+    if settings is None or not _comparable(context) or not _looked_at(done):
         return None
     grid = Grid(*overview_frame(context.output / "dtm.tif"))
     total, count = np.zeros((2, grid.rows * grid.columns), np.int64)
@@ -204,18 +201,16 @@ def own_points(share: float | None) -> Iterator[Finding]:
 
 def not_compared(done: Receipts, context: Context, facts: RunFacts) -> Iterator[Finding]:
     """Whether a comparison is missing that did not fail: nobody has asked for it yet."""
-    settings = context.workflow.reference
-    if settings is None or settings.points is None:
-        return
-    if not _comparable(context) or _looked_at(done):
-        return
-    if not facts.failures:  # without the rasters of this run it is not made either
+    missing = _comparable(context) and not _looked_at(done)
+    if missing and not facts.failures:  # without the rasters of this run it is not made either
         yield Finding("C02", {"kind": "missing"})
 
 
 def _comparable(context: Context) -> bool:
-    """Whether there are the rasters without which nothing is compared."""
-    return all((context.output / name).exists() for name in ("dtm.tif", "dsm.tif"))
+    """Whether reference points are named, and there are the rasters that all is compared with."""
+    settings = context.workflow.reference
+    named = settings is not None and settings.points is not None
+    return named and all((context.output / name).exists() for name in ("dtm.tif", "dsm.tif"))
 
 
 def _looked_at(done: Receipts) -> bool:

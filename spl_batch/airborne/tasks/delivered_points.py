@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
+from spl_batch.airborne.products.cell_values import shape_of
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.store.raster_cells import stored_blocks
 from spl_batch.airborne.tasks.index import CHUNK_POINTS
@@ -24,7 +25,15 @@ from spl_batch.formats.las.writer import KEEP_BUT_GROUND
 from spl_batch.formats.rasters.parts import RasterPart
 from spl_batch.formats.vector_files import contains, read_polygons
 from spl_batch.lattice.tables import PointFlag, PointTable
-from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds, cells_touching, grow, quanta
+from spl_batch.lattice.tiles import (
+    Bounds,
+    CellId,
+    cell_bounds,
+    cells_touching,
+    grow,
+    quanta,
+    whole_cells,
+)
 
 IN_NO_TILE: Final = 255
 """Flags of points that nothing has looked at: those that the input withholds or calls noise."""
@@ -56,17 +65,13 @@ class Terrain:
         workflow = self._context.workflow
         pixel = quanta(workflow.products.cell_m)
         reach = grow(cell_bounds(tile, quanta(workflow.tiling.tile_m)), pixel)
-        west, south = reach.xmin // pixel * pixel, reach.ymin // pixel * pixel
-        bounds = Bounds(
-            west, south, -(-reach.xmax // pixel) * pixel, -(-reach.ymax // pixel) * pixel
-        )
-        shape = (bounds.ymax - south) // pixel, (bounds.xmax - west) // pixel
-        heights = np.full(shape, NODATA, np.float32)
+        bounds = whole_cells(reach, pixel)
+        heights = np.full(shape_of(bounds, pixel), NODATA, np.float32)
         cells = [c for c in cells_touching(bounds, self._edge) if c in self._squares]
         rasters = self._context.rasters
         for row, col, block in stored_blocks(rasters, "dtm", bounds, cells, ground_cell=self._edge):
             heights[row : row + block.shape[0], col : col + block.shape[1]] = block
-        corner_m = west * QUANTUM_M, bounds.ymax * QUANTUM_M
+        corner_m = bounds.xmin * QUANTUM_M, bounds.ymax * QUANTUM_M
         terrain = RasterPart(heights, *corner_m, pixel * QUANTUM_M)
         surface = terrain.sampled(np.column_stack([table["x"], table["y"]]) * QUANTUM_M)
         above = (table["z"] * QUANTUM_M - surface) / self._context.units.vertical_m

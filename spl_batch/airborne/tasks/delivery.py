@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 from rasterio.windows import Window
 
 from spl_batch.airborne.catalogue.catalogues import write_catalogues
-from spl_batch.airborne.catalogue.delivered_files import Publisher
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.products.cell_values import shape_of
 from spl_batch.airborne.products.wide_voids import Void, void_findings, wide_voids
 from spl_batch.airborne.pulses.swaths import Outlined, outlines
 from spl_batch.airborne.store.flown_lines import read_shifts
-from spl_batch.airborne.store.label_tables import label_files, read_labelled_tile, units_of
+from spl_batch.airborne.store.label_tables import label_files, read_region, units_of
 from spl_batch.airborne.store.raster_cells import stored_blocks
 from spl_batch.airborne.tasks import index, pulses
 from spl_batch.airborne.tasks.delivered_points import IN_NO_TILE, PLACE, Dropping, Terrain, gone
@@ -120,7 +119,9 @@ class _FileLabels:
         files = label_files(store)
         for name in self.args["tiles"]:
             tile = parse_cell(name)
-            table = read_labelled_tile(store, tile, columns, labels, files, shifts)
+            table, _ = read_region(
+                store, [tile], None, columns, labels, ordered=False, shifts=shifts, files=files
+            )
             if terrain is not None:
                 table = table.with_columns(HeightAboveGround=terrain.heights_above(tile, table))
             yield table, False
@@ -217,29 +218,22 @@ def _decoded(args: Mapping[str, Any], context: Context) -> Decoded | None:
 
 
 class _Given:
-    """What the index keeps of each record, some row groups at a time."""
+    """What the index keeps of each record, some parts of a file at a time."""
 
     def __init__(self, args: Mapping[str, Any], context: Context) -> None:
-        self.source, self.store = args["source"], context.store
-        self.start = 0
+        self.source, self.folder = args["source"], context.store.path("given")
+        self.parts = range(0)
         self.values = np.empty(0, np.uint32)
 
     def __call__(self, start: int, stop: int) -> NDArray[np.uint32]:
         """Of records ``[start, stop)``."""
-        if start < self.start or stop > self.start + len(self.values):
-            first, last = start // index.CHUNK_POINTS, -(-stop // index.CHUNK_POINTS)
-            size = index.PART_CHUNKS
-            pieces = [
-                self._read(part, range(max(first - part * size, 0), min(last - part * size, size)))
-                for part in range(first // size, -(-last // size))
-            ]
-            self.values, self.start = np.concatenate(pieces), first * index.CHUNK_POINTS
-        return self.values[start - self.start : stop - self.start]
-
-    def _read(self, part: int, groups: range) -> NDArray[np.uint32]:
-        """Row groups of a part."""
-        path = self.store.path("given", f"{index.part_name(self.source, part)}.parquet")
-        return read_columns(path, [GIVEN], groups)[GIVEN]
+        size = index.CHUNK_POINTS * index.PART_CHUNKS
+        parts = range(start // size, -(-stop // size))
+        if parts != self.parts:
+            names = (f"{index.part_name(self.source, part)}.parquet" for part in parts)
+            held = [read_columns(self.folder / name, [GIVEN])[GIVEN] for name in names]
+            self.values, self.parts = np.concatenate(held), parts
+        return self.values[start - parts.start * size : stop - parts.start * size]
 
 
 def _nonzero(counts: NDArray[np.int64]) -> dict[str, int]:
@@ -258,7 +252,7 @@ def deliver_tile(args: Mapping[str, Any], context: Context) -> Produced:
         *("flags",) * bool(asked.drop),
     )
     lines = read_shifts(args, context.store)
-    table = read_labelled_tile(context.store, cell, columns, labels, shifts=lines)
+    table, _ = read_region(context.store, [cell], None, columns, labels, shifts=lines)
     record = None if lines is None else lines.record()
     labelled = table["classification"].copy()
     _keep(labelled, table["noise_class"], context)
@@ -292,14 +286,12 @@ def deliver_copc(args: Mapping[str, Any], context: Context) -> Produced:
 
 def deliver_catalogue(args: Mapping[str, Any], context: Context) -> Produced:
     """Write what other tools open at once: STAC, virtual point cloud, index."""
-    name = context.workflow.survey.name
     drawn = outlines(
         _outlined(args["cells"], context),
         {one["number"]: one["id"] for one in args["flightlines"]},
     )
     survey = context.workflow.survey
-    publisher = Publisher(survey.organisation, survey.contact, survey.licence)
-    written, remarks = write_catalogues(context.output, name, context.crs, args, drawn, publisher)
+    written, remarks = write_catalogues(context.output, survey, context.crs, args, drawn)
     facts = {"name": "catalogue", "findings": [Finding("D01", {"what": text}) for text in remarks]}
     return Produced(written, facts)
 

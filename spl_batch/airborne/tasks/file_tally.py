@@ -1,8 +1,9 @@
 """What is in an input file, counted chunk by chunk; counts of its parts add up to those of all."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Final, NamedTuple, TypeVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,16 +11,16 @@ from numpy.typing import NDArray
 from spl_batch.airborne.beams.geometry import (
     STEP_BINS,
     estimate_prf,
-    merge_track,
-    observe_track,
     ordered_times,
     shot_steps,
 )
-from spl_batch.formats.gps_clock import TimeStandard, time_standard, usable_times
+from spl_batch.airborne.beams.shot_runs import run_starts
+from spl_batch.formats.gps_clock import time_standard, usable_times
 from spl_batch.lattice.row_order import in_order, lexicographic_order
 from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable, rows_of
 
-Track = dict[str, NDArray[np.int64]]
+Counted = dict[str, NDArray[Any]]
+"""What was counted, by the names of :func:`observe`."""
 
 S = TypeVar("S", bound=Sequence[Any])
 
@@ -43,230 +44,197 @@ LONE_SPANS: Final = 1000
 FLOWN_S: Final = 50 * YEAR_S
 """Nobody has flown so long before or after the middle of a file's times, with any points [s]."""
 
-_TIMED: Final = ("gps_time", "point_source_id", "x", "y", "scan_angle")
-"""Columns that say when and whereto a flightline was flown."""
-
-
 BINS_PER_S: Final = 256
 """Bins of a second that points are counted in [1/s]."""
 
 _FAR_BINS: Final = 2.0**60
 
-_MERGE_AT: Final = 64
-"""Parts that are kept before they are joined [count]."""
+_NOTHING: Final[Counted] = {
+    "counts": np.zeros(len(_COUNTED), np.int64),
+    "low": np.full(3, np.iinfo(np.int64).max),
+    "high": np.full(3, np.iinfo(np.int64).min),
+    "boxes": np.empty((0, 4), np.int64),
+    "channels": np.empty(0, np.int64),
+}
+"""What is counted of no points."""
 
 
-class _Spans(NamedTuple):
-    """Spans of time ``[first, last, points]`` of a file."""
+def observe(table: PointTable, gap_s: float) -> Counted:
+    """Count what a chunk of a file holds, at least one point; chunks add up by :func:`merge`.
 
-    near: dict[int, list[list[float]]]  #: Of flightlines, by point source id.
-    astray: list[list[float]]  #: Years from the others.
-    scattered: list[list[float]]  #: Too many for the few points that they hold.
+    Parameters
+    ----------
+    gap_s : float
+        A longer pause ends a span of time [s].
 
-
-class Tally:
-    """Running totals over the chunks of a file, or of a part of it.
-
-    A pause of more than ``gap_s`` ends a span of time [s].
+    Returns
+    -------
+    dict of str to ndarray
+        ``counts`` (7,), ``low, high`` (3,) and ``boxes`` (1, 4), west, south, east, north [quanta];
+        ``channels``, the beamlet numbers that are there; of each point source id ``ID/spans``
+        (k, 3), first and last time [s] and points; ``ID/steps`` and ``ID/rate`` (m, 2), bins of
+        :func:`.shot_steps` and of :data:`BINS_PER_S` that hold some, and how many.
     """
-
-    def __init__(self, gap_s: float) -> None:
-        self.gap_s = gap_s
-        self.counts: dict[str, int] = dict.fromkeys(_COUNTED, 0)
-        self.tracks: dict[int, Track] = {}
-        self._spans: dict[int, list[list[float]]] = {}
-        self._steps: dict[int, NDArray[np.int64]] = {}
-        self._rates: dict[int, Rate] = {}
-        self._low = np.full(3, np.iinfo(np.int64).max)
-        self._high = np.full(3, np.iinfo(np.int64).min)
-        self._channels: set[int] = set()
-        self.boxes: list[list[int]] = []  #: West, south, east, north of each chunk [quanta].
-
-    def add(self, table: PointTable) -> None:
-        """Count one chunk in."""
-        time = table["gps_time"]
-        valid = usable_times(time)
-        excluded = table.has(EXCLUDED)
-        self.counts["points"] += len(table)
-        self.counts["timeless"] += int(np.count_nonzero(~valid & ~excluded))
-        withheld = table.has(PointFlag.WITHHELD)
-        unclassified = withheld & (table["input_class"] == 0)
-        self.counts["withheld"] += int(np.count_nonzero(withheld))
-        self.counts["withheld_unclassified"] += int(np.count_nonzero(unclassified))
-        self.counts["vendor_noise"] += int(np.count_nonzero(table.has(PointFlag.VENDOR_NOISE)))
-        self.counts["excluded"] += int(np.count_nonzero(excluded))
-        low = np.array([table[name].min() for name in "xyz"], np.int64)
-        high = np.array([table[name].max() for name in "xyz"], np.int64)
-        self._low, self._high = np.minimum(self._low, low), np.maximum(self._high, high)
-        self.boxes.append([*low[:2].tolist(), *high[:2].tolist()])
-        self._channels.update(np.flatnonzero(np.bincount(table["channel"])).tolist())
-        timed = table.select(_TIMED).take(rows_of(valid & ~excluded))
-        self._add_times(self._without_lone(timed))
-
-    def _without_lone(self, table: PointTable) -> PointTable:
-        """Points without those of scattered times, of which a file may have as many as points."""
-        time, line = table["gps_time"], table["point_source_id"]
-        keys = [line, time]
-        order = np.arange(len(time)) if in_order(keys) else lexicographic_order(keys)
-        opens = (np.diff(line[order]) != 0) | (np.diff(time[order]) > self.gap_s)
-        span = np.concatenate([np.zeros(min(len(order), 1), np.intp), np.cumsum(opens)])
-        lone = np.bincount(span) < SEASON_POINTS
-        if np.count_nonzero(lone) <= LONE_SPANS:
-            return table
-        left_out = order[lone[span]]
-        self.counts["lone"] += len(left_out)
-        keep = np.ones(len(table), np.bool_)
-        keep[left_out] = False
-        return table.take(rows_of(keep))
-
-    def _add_times(self, table: PointTable) -> None:
-        time = table["gps_time"]
-        if not len(time):
-            return
-        line = table["point_source_id"]
-        for psid in np.flatnonzero(np.bincount(line)).tolist():
-            mine = table.take(rows_of(line == psid))
-            ordered = ordered_times(mine["gps_time"])
-            cuts = np.flatnonzero(np.diff(ordered) > self.gap_s) + 1
-            for piece in np.split(ordered, cuts):
-                self._spans.setdefault(psid, []).append(
-                    [float(piece[0]), float(piece[-1]), len(piece)]
-                )
-            self._rates.setdefault(psid, Rate()).add(ordered)
-            self._add_steps(psid, shot_steps(ordered))
-            self._add_track(psid, observe_track(mine))
-
-    def _add_steps(self, psid: int, steps: NDArray[np.int64]) -> None:
-        if psid in self._steps:
-            bins, counts = self._steps[psid]
-            steps[bins] += counts
+    valid, excluded = usable_times(table["gps_time"]), table.has(EXCLUDED)
+    timed = table.select(("gps_time", "point_source_id")).take(rows_of(valid & ~excluded))
+    kept = _without_lone(timed, gap_s)
+    withheld = table.has(PointFlag.WITHHELD)
+    held = (
+        *(~valid & ~excluded, withheld, withheld & (table["input_class"] == 0)),
+        *(table.has(PointFlag.VENDOR_NOISE), excluded),
+    )
+    counts = [len(table), *(int(np.count_nonzero(some)) for some in held), len(timed) - len(kept)]
+    low, high = ([int(end(table[name])) for name in "xyz"] for end in (np.min, np.max))
+    found = {
+        "counts": np.array(counts),
+        "low": np.array(low),
+        "high": np.array(high),
+        "boxes": np.array([[*low[:2], *high[:2]]]),
+        "channels": np.flatnonzero(np.bincount(table["channel"])),
+    }
+    for psid in np.flatnonzero(np.bincount(kept["point_source_id"])).tolist():
+        time = ordered_times(kept["gps_time"][rows_of(kept["point_source_id"] == psid)])
+        pieces = np.split(time, np.flatnonzero(np.diff(time) > gap_s) + 1)
+        steps = shot_steps(time)
         some = np.flatnonzero(steps)  # all bins of all flightlines could fill the memory
-        self._steps[psid] = np.array([some, steps[some]])
+        found[f"{psid}/spans"] = np.array([[one[0], one[-1], len(one)] for one in pieces])
+        found[f"{psid}/steps"] = np.stack([some, steps[some]], axis=1)
+        found[f"{psid}/rate"] = rate_of(time)
+    return found
 
-    def _add_track(self, psid: int, track: Track) -> None:
-        earlier = [self.tracks[psid]] if psid in self.tracks else []
-        self.tracks[psid] = merge_track([*earlier, track])
 
-    @property
-    def standard(self) -> TimeStandard:
-        """How the times are counted, as :func:`~spl_batch.formats.gps_clock.time_standard` says."""
-        near = self._near_and_astray().near
-        return time_standard(np.array([span[:2] for spans in near.values() for span in spans]))
+def _without_lone(table: PointTable, gap_s: float) -> PointTable:
+    """Points without those of scattered times, of which a file may have as many as points."""
+    time, line = table["gps_time"], table["point_source_id"]
+    keys = [line, time]
+    order = np.arange(len(time)) if in_order(keys) else lexicographic_order(keys)
+    opens = (np.diff(line[order]) != 0) | (np.diff(time[order]) > gap_s)
+    span = np.concatenate([np.zeros(min(len(order), 1), np.intp), np.cumsum(opens)])
+    lone = np.bincount(span) < SEASON_POINTS
+    if np.count_nonzero(lone) <= LONE_SPANS:
+        return table
+    keep = np.ones(len(table), np.bool_)
+    keep[order[lone[span]]] = False
+    return table.take(rows_of(keep))
 
-    def _near_and_astray(self) -> _Spans:
-        """Time spans of each flightline, and those of times that none of them can have."""
-        merged = {k: merge_spans(v, self.gap_s) for k, v in sorted(self._spans.items())}
-        spans = np.array([span for listed in merged.values() for span in listed]).reshape(-1, 3)
-        found = _Spans({}, [], [])
-        if not len(spans):
-            return found
-        order = np.argsort(spans[:, 0], kind="stable")
-        total = np.cumsum(spans[order, 2])
-        middle = float(spans[order[np.searchsorted(total, total[-1] / 2)], 0])
-        for psid, listed in merged.items():
-            for span in listed:
-                apart_s = max(span[0] - middle, middle - span[1])
-                few = span[2] < SEASON_POINTS
-                unset = span[0] == span[1] == 0.0
-                far = unset or apart_s > FLOWN_S or (few and apart_s > YEAR_S)
-                (found.astray if far else found.near.setdefault(psid, [])).append(span)
-        return _without_scattered(found, 0 if self.counts["lone"] else SPANS_FEW)
 
-    def facts(self) -> dict[str, Any]:
-        """What later phases and the report read of it."""
-        near, astray, scattered = self._near_and_astray()
-        lone = self.counts["lone"] + sum(int(points) for *_, points in scattered)
-        far = sum(int(points) for *_, points in astray)
-        return {
-            **self.counts,
-            "timeless": self.counts["timeless"] + far + lone,
-            "astray_s": [first for first, *_ in astray[:1]],
-            "lone": lone,
-            "bounds": [*self._low.tolist(), *self._high.tolist()]
-            if self.counts["points"]
-            else None,
-            "channels_seen": f"{sum(1 << channel for channel in self._channels):x}",
-            "spans": {str(psid): spans for psid, spans in near.items()},
-            "fullest": {str(k): v.fullest() for k, v in sorted(self._rates.items())},
-            "prf_hz": {str(k): estimate_prf(_all_bins(v)) for k, v in sorted(self._steps.items())},
-        }
+def rate_of(time_s: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Bins that hold points, by finite times in order [s], and how many [count]: (m, 2)."""
+    # Times that are none may be anything; they are far from all others, wherever that is.
+    bins = np.clip(np.floor(time_s * BINS_PER_S), -_FAR_BINS, _FAR_BINS).astype(np.int64)
+    starts = run_starts(bins)
+    return np.stack([bins[starts[:-1]], np.diff(starts)], axis=1)
 
-    @property
-    def chunk_boxes(self) -> NDArray[np.int64]:
-        """West, south, east, north of each chunk, (m, 4) [quanta]."""
-        return np.array(self.boxes, np.int64).reshape(-1, 4)
 
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """All of it as arrays by name, to be stored."""
-        arrays: dict[str, NDArray[Any]] = {
-            "counts": np.array(list(self.counts.values())),
-            "bounds": np.array([self._low, self._high]),
-            "channels": np.array(sorted(self._channels), np.int64),
-            "boxes": self.chunk_boxes,
-            "lines": np.array(sorted(self._rates), np.int64),
-        }
-        for psid, rate in self._rates.items():
-            arrays[f"{psid}/spans"] = np.array(self._spans[psid])
-            arrays[f"{psid}/steps"] = self._steps[psid]
-            arrays[f"{psid}/rate"] = np.array(rate.counted())
-            arrays |= {f"{psid}/track/{k}": v for k, v in self.tracks[psid].items()}
-        return arrays
+def sum_of_bins(parts: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
+    """Bins that hold some in any of some parts, in order, and how many [count]: (m, 2)."""
+    bins, counts = np.concatenate(parts).T
+    different, which = np.unique(bins, return_inverse=True)
+    total = np.bincount(which, counts, len(different)).astype(np.int64)
+    return np.stack([different, total], axis=1)
 
-    def join(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Add what the :meth:`to_arrays` of another part gave."""
-        for name, count in zip(_COUNTED, arrays["counts"].tolist(), strict=True):
-            self.counts[name] += count
-        self._low = np.minimum(self._low, arrays["bounds"][0])
-        self._high = np.maximum(self._high, arrays["bounds"][1])
-        self._channels.update(arrays["channels"].tolist())
-        self.boxes += arrays["boxes"].tolist()
-        for psid in arrays["lines"].tolist():
-            spans = arrays[f"{psid}/spans"].tolist()
-            self._spans.setdefault(psid, []).extend([a, b, int(n)] for a, b, n in spans)
-            self._rates.setdefault(psid, Rate()).join(*arrays[f"{psid}/rate"])
-            self._add_steps(psid, _all_bins(arrays[f"{psid}/steps"]))
-            prefix = f"{psid}/track/"
-            names = [name for name in arrays if name.startswith(prefix)]
-            self._add_track(psid, {k.removeprefix(prefix): arrays[k] for k in names})
+
+_ADD_UP: Final[Mapping[str, Callable[[Sequence[NDArray[Any]]], NDArray[Any]]]] = {
+    **dict.fromkeys(("counts", "returns"), partial(np.sum, axis=0)),
+    **dict.fromkeys(("steps", "rate"), sum_of_bins),
+    "low": partial(np.min, axis=0),
+    "high": partial(np.max, axis=0),
+}
+"""How parts of an array are put together, by the end of its name; others follow each other."""
+
+
+def merge(parts: Iterable[Counted]) -> Counted:
+    """What :func:`observe` has counted of parts of a file, added up.
+
+    Likewise of what was added up already, and what :meth:`.Extent.to_arrays` gives.
+    """
+    held: dict[str, list[NDArray[Any]]] = {name: [values] for name, values in _NOTHING.items()}
+    for part in parts:
+        for name, values in part.items():
+            held.setdefault(name, []).append(values)
+    return {
+        name: _ADD_UP.get(name.rpartition("/")[2], np.concatenate)(values)
+        for name, values in held.items()
+    }
+
+
+def _lines(counted: Counted) -> list[int]:
+    """Point source ids of the points that were counted."""
+    return sorted(int(k.partition("/")[0]) for k in counted if k.endswith("/spans"))
+
+
+Spans = NDArray[np.float64]
+"""Rows of point source id, first and last time [s], and points: (k, 4)."""
+
+
+def _spans(counted: Counted, gap_s: float, left: int) -> tuple[Spans, Spans, Spans]:
+    """Spans of time of flightlines, those years from the others, and those of scattered times.
+
+    Each flightline costs a run some tasks, so a file's must be worth them: the k-th largest span
+    holds at least k points, and :data:`SEASON_POINTS`. Where more spans do not than are ``left``,
+    :data:`SPANS_FEW`, the times of their points are scattered: none of these spans is a flightline.
+    A file of n points makes no more than ``sqrt(n) + SPANS_FEW`` flightlines, whatever its times
+    are.
+    """
+    spans = np.array(
+        [(k, *span) for k in _lines(counted) for span in merge_spans(counted[f"{k}/spans"], gap_s)]
+    ).reshape(-1, 4)
+    _, first, last, points = spans.T
+    order = np.argsort(first, kind="stable")
+    total = np.cumsum(points[order])
+    middle = first[order[np.searchsorted(total, total[-1:] / 2)]]
+    apart_s = np.maximum(first - middle, middle - last)
+    far = (apart_s > FLOWN_S) | ((points < SEASON_POINTS) & (apart_s > YEAR_S))
+    far |= (first == 0.0) & (last == 0.0)
+    near = spans[~far]
+    largest = np.sort(near[:, 3])[::-1]
+    small = largest < np.maximum(np.arange(1, len(largest) + 1), SEASON_POINTS)
+    most = largest[small][0] if np.count_nonzero(small) > left else 0.0
+    scattered = near[:, 3] <= most  # all of this size go: which comes first says nothing
+    return near[~scattered], spans[far], near[scattered]
+
+
+def facts_of(counted: Counted, gap_s: float) -> dict[str, Any]:
+    """What later phases and the report read of a file; ``gap_s`` as of :func:`observe`."""
+    counts = dict(zip(_COUNTED, counted["counts"].tolist(), strict=True))
+    near, astray, scattered = _spans(counted, gap_s, 0 if counts["lone"] else SPANS_FEW)
+    lone = counts["lone"] + int(scattered[:, 3].sum())
+    flown: dict[str, list[list[float]]] = {}
+    for psid, first_s, last_s, points in near.tolist():
+        flown.setdefault(f"{psid:.0f}", []).append([first_s, last_s, int(points)])
+    lines, channels = _lines(counted), np.unique(counted["channels"])
+    ends = [*counted["low"].tolist(), *counted["high"].tolist()]
+    return {
+        **counts,
+        "timeless": counts["timeless"] + int(astray[:, 3].sum()) + lone,
+        "astray_s": astray[:1, 1].tolist(),
+        "lone": lone,
+        "bounds": ends if counts["points"] else None,
+        "channels_seen": f"{sum(1 << channel for channel in channels.tolist()):x}",
+        "standard": time_standard(near[:, 1:3]),
+        "spans": flown,
+        "fullest": {str(k): fullest(counted[f"{k}/rate"]) for k in lines},
+        "prf_hz": {str(k): estimate_prf(_all_bins(counted[f"{k}/steps"])) for k in lines},
+    }
 
 
 def _all_bins(steps: NDArray[np.int64]) -> NDArray[np.int64]:
     """Histogram of steps, of its bins that hold some and their counts."""
     found = np.zeros(STEP_BINS, np.int64)
-    found[steps[0]] = steps[1]
+    found[steps[:, 0]] = steps[:, 1]
     return found
 
 
-def spans_of(arrays: Mapping[str, NDArray[Any]]) -> dict[str, list[float]]:
-    """First and last time of each flightline in what :meth:`Tally.to_arrays` gave [s]."""
-    spans = {psid: arrays[f"{psid}/spans"] for psid in arrays["lines"].tolist()}
+def spans_of(counted: Counted) -> dict[str, list[float]]:
+    """First and last time of each flightline in what was counted [s]."""
+    spans = {psid: counted[f"{psid}/spans"] for psid in _lines(counted)}
     return {str(k): [float(v[:, 0].min()), float(v[:, 1].max())] for k, v in spans.items()}
 
 
-def _without_scattered(found: _Spans, left: int) -> _Spans:
-    """Part spans that are flightlines from scattered times, which none has.
-
-    Each flightline costs a run some tasks, so a file's must be worth them: the k-th largest span
-    holds at least k points, and :data:`SEASON_POINTS`. Where more than :data:`SPANS_FEW` spans do
-    not, the times of their points are scattered: none of these spans is a flightline. A file of n
-    points makes no more than ``sqrt(n) + SPANS_FEW`` flightlines, whatever its times are. ``left``
-    in place of :data:`SPANS_FEW`.
-    """
-    points = np.array([span[2] for listed in found.near.values() for span in listed])
-    largest = np.sort(points)[::-1]
-    small = largest < np.maximum(np.arange(1, len(largest) + 1), SEASON_POINTS)
-    if np.count_nonzero(small) <= left:
-        return found
-    most = float(largest[small][0])  # all of this size go: which comes first says nothing
-    near = {k: [s for s in listed if s[2] > most] for k, listed in found.near.items()}
-    scattered = [span for listed in found.near.values() for span in listed if span[2] <= most]
-    return found._replace(near={k: v for k, v in near.items() if v}, scattered=scattered)
-
-
-def merge_spans(spans: list[list[float]], gap_s: float) -> list[list[float]]:
-    """Join time spans ``[first, last, points]`` that lie no farther apart than a gap [s]."""
-    joined = (zip(*chain, strict=True) for chain in chained(sorted(spans), gap_s))
-    return [[first[0], max(last), sum(points)] for first, last, points in joined]
+def merge_spans(spans: NDArray[np.float64], gap_s: float) -> list[list[float]]:
+    """Join time spans, (k, 3) of first, last and points, no farther apart than a gap [s]."""
+    joined = (zip(*chain, strict=True) for chain in chained(sorted(spans.tolist()), gap_s))
+    return [[first[0], max(last), int(sum(points))] for first, last, points in joined]
 
 
 def chained(spans: Iterable[S], gap_s: float) -> list[list[S]]:
@@ -281,39 +249,18 @@ def chained(spans: Iterable[S], gap_s: float) -> list[list[S]]:
     return chains
 
 
-class Rate:
-    """Points of a flightline in one file, counted by time."""
+def fullest(rate: NDArray[np.int64]) -> list[int]:
+    """Most points within 1, 2, 4, ... bins wherever they begin, up to all points [count].
 
-    def __init__(self) -> None:
-        self._parts: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
-
-    def add(self, time_s: NDArray[np.float64]) -> None:
-        """Count points in; times are finite [s]."""
-        # Times that are none may be anything; they are far from all others, wherever that is.
-        bins = np.clip(np.floor(time_s * BINS_PER_S), -_FAR_BINS, _FAR_BINS).astype(np.int64)
-        self._parts.append(np.unique(bins, return_counts=True))
-        if len(self._parts) > _MERGE_AT:
-            self._parts = [self.counted()]
-
-    def join(self, bins: NDArray[np.int64], counts: NDArray[np.int64]) -> None:
-        """Add what :meth:`counted` gave of another part of the file."""
-        self._parts.append((bins, counts))
-
-    def fullest(self) -> list[int]:
-        """Most points within 1, 2, 4, ... bins wherever they begin, up to all points [count]."""
-        bins, counts = self.counted()
-        before = np.concatenate([[0], np.cumsum(counts)])
-        found: list[int] = []
-        while not found or found[-1] < before[-1]:
-            after = np.searchsorted(bins, bins + 2 ** len(found))
-            found.append(int((before[after] - before[:-1]).max()))
-        return found
-
-    def counted(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Bins that hold points, in order, and how many [count]."""
-        bins, counts = (np.concatenate(columns) for columns in zip(*self._parts, strict=True))
-        different, which = np.unique(bins, return_inverse=True)
-        return different, np.bincount(which, counts, len(different)).astype(np.int64)
+    ``rate``: (m, 2), from :func:`rate_of`, or added up.
+    """
+    bins, counts = rate.T
+    before = np.concatenate([[0], np.cumsum(counts)])
+    found: list[int] = []
+    while not found or found[-1] < before[-1]:
+        after = np.searchsorted(bins, bins + 2 ** len(found))
+        found.append(int((before[after] - before[:-1]).max()))
+    return found
 
 
 def most_points(fullest: Sequence[int], span_s: float) -> int:

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from functools import partial
 from itertools import chain, pairwise
@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.tasks.file_tally import SPANS_FEW, Tally, spans_of
+from spl_batch.airborne.tasks.file_tally import (
+    SPANS_FEW,
+    Counted,
+    facts_of,
+    merge,
+    observe,
+    spans_of,
+)
 from spl_batch.airborne.tasks.stretches import KEPT_COLUMNS, add_points
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.store.working_store import forget_receipt
@@ -76,12 +83,12 @@ def index_part(args: Mapping[str, Any], context: Context) -> Produced:
     path, facts = Path(args["path"]), {"stamp": args["stamp"]}
     try:
         with unchanged(path, args["stamp"]):
-            found = _read(args, context, inspect(path), args["part"])
+            counted, outputs = _read(args, context, inspect(path), args["part"])
     except InputError as error:
         return Produced((), {**facts, "faults": error.faults})
     kept = _kept(args, context, args["part"])
-    write_arrays(kept, found.to_arrays())
-    return Produced([kept, *found.outputs], facts, found.tally.counts["points"])
+    write_arrays(kept, counted)
+    return Produced([kept, *outputs], facts, int(counted["counts"][0]))
 
 
 def index_file(args: Mapping[str, Any], context: Context) -> Produced:
@@ -95,34 +102,31 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
             raise InputError(str(path), [*dict.fromkeys(faults)])
         digest = checksum(path)
         header = inspect(path)
-        found, spans = _joined(args, context)
-    tally = found.tally
+        counted, spans = merge([]), []
+        for part in range(args["parts"]):
+            arrays = read_arrays(_kept(args, context, part))
+            # One by one: where times are in no order, each part has bins of all of them.
+            counted = merge([counted, arrays])
+            spans.append(spans_of(arrays))
     index = context.store.path("index", f"{args['source']}.npz")
-    tracks = {f"{psid}/{k}": v for psid, t in sorted(tally.tracks.items()) for k, v in t.items()}
-    write_arrays(index, tracks | found.extent.to_arrays() | {BOXES: tally.chunk_boxes})
-    contradiction = contradicted_bit(tally.standard, adjusted_bit=header.adjusted_standard_bit)
-    known = tally.facts()
+    write_arrays(index, {k: v for k, v in counted.items() if k.startswith((BOXES, "extent/"))})
+    known = facts_of(counted, context.workflow.survey.gap_s)
+    clock = contradicted_bit(known["standard"], adjusted_bit=header.adjusted_standard_bit)
+    findings = []
+    if clock is not None:
+        findings.append(Finding("I01", {"kind": "times", "stated": clock[0], "found": clock[1]}))
     facts = {
         "name": args["name"],
-        "path": str(path),
         "hash": digest,
         "size": args["stamp"][0],
         **known,
         "parts": spans,
-        "standard": tally.standard,
         "numbers": _numbers(path, context),
         # What the header alone tells, the plan has said.
-        "findings": [*_contradicted(contradiction), *_without_time(known)],
+        "findings": [*findings, *_without_time(known)],
     }
     inputs = {str(path): args["stamp"]}
-    return Produced([index], facts, tally.counts["points"], inputs)
-
-
-def _contradicted(found: tuple[str, str] | None) -> list[Finding]:
-    """That a header's bit contradicts the times, if so."""
-    if found is None:
-        return []
-    return [Finding("I01", {"kind": "times", "stated": found[0], "found": found[1]})]
+    return Produced([index], facts, known["points"], inputs)
 
 
 def _without_time(known: Mapping[str, Any]) -> list[Finding]:
@@ -150,35 +154,25 @@ def _numbers(path: Path, context: Context) -> dict[str, Numbers]:
     return read_ends(path, None, SAMPLE_POINTS).numbers
 
 
-class _Found:
-    """What is known of a file or of a part of it, and what is kept of its points."""
+def _read(
+    args: Mapping[str, Any], context: Context, header: LasFacts, part: int
+) -> tuple[Counted, list[Path]]:
+    """Read a part of a file, and keep its points and what delivery needs of the records.
 
-    def __init__(self, gap_s: float) -> None:
-        self.tally = Tally(gap_s)
-        self.extent = Extent()
-        self.outputs: list[Path] = []
-
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """What is known as arrays by name, to be stored."""
-        return self.tally.to_arrays() | self.extent.to_arrays()
-
-
-def _read(args: Mapping[str, Any], context: Context, header: LasFacts, part: int) -> _Found:
-    """Read a part of a file, and keep its points and what delivery needs of the records."""
+    Gives what was counted, and the files that were written.
+    """
     path, settings = Path(args["path"]), context.workflow.survey
     name, (start, stop) = part_name(args["source"], part), part_range(header.n_points, part)
-    found = _Found(settings.gap_s)
-    points = context.store.path("points", f"{name}.parquet")
-    given = context.store.path("given", f"{name}.parquet")
+    outputs = [context.store.path("points", f"{name}.parquet")]
     dtypes = {name: COLUMNS[name].dtype for name in KEPT_COLUMNS}
+    chunks, extent = list[Counted](), Extent()
     with ExitStack() as stack:
-        writer = stack.enter_context(writing(points, dtypes, sought=("gps_time",)))
-        found.outputs.append(points)
+        writer = stack.enter_context(writing(outputs[0], dtypes, sought=("gps_time",)))
         watch: Callable[[NDArray[Any], RecordLayout], None] | None = None
         if header.layers_can_be_copied:
-            beside = stack.enter_context(writing(given, {GIVEN: np.uint32}))
-            found.outputs.append(given)
-            watch = partial(_watch, found.extent, beside)
+            outputs.append(context.store.path("given", f"{name}.parquet"))
+            beside = stack.enter_context(writing(outputs[1], {GIVEN: np.uint32}))
+            watch = partial(_watch, extent, beside)
         for table in iter_points(
             path,
             channel_dimension=settings.channel_dimension,
@@ -189,9 +183,9 @@ def _read(args: Mapping[str, Any], context: Context, header: LasFacts, part: int
             watch=watch,
             units=context.units,
         ):
-            found.tally.add(table)
+            chunks.append(observe(table, settings.gap_s))
             add_points(writer, table)
-    return found
+    return merge([extent.to_arrays(), *chunks]), outputs
 
 
 def _watch(
@@ -203,24 +197,11 @@ def _watch(
 
 
 def _kept(args: Mapping[str, Any], context: Context, part: int) -> Path:
-    """Where a part leaves what it has found."""
+    """Where a part leaves what it has counted."""
     return context.store.path("index", f"{part_name(args['source'], part)}.npz")
 
 
-def _joined(
-    args: Mapping[str, Any], context: Context
-) -> tuple[_Found, list[dict[str, list[float]]]]:
-    """All parts of a file together, and the first and last time of each flightline in each."""
-    whole, spans = _Found(context.workflow.survey.gap_s), []
-    for part in range(args["parts"]):
-        arrays = read_arrays(_kept(args, context, part))
-        whole.tally.join(arrays)
-        whole.extent.join(Extent.from_arrays(arrays))
-        spans.append(spans_of(arrays))
-    return whole, spans
-
-
-def look_through(args: Mapping[str, Any], context: Context) -> Produced:
+def trajectory_file(args: Mapping[str, Any], context: Context) -> Produced:
     """Prove that one file can be read and converted: else it fails alone, and others serve."""
     path = Path(args["path"])
     crs = context.workflow.survey.trajectory_crs
@@ -243,9 +224,9 @@ def check_file(
     return found.records
 
 
-def gather_trajectory(args: Mapping[str, Any], context: Context) -> Produced:
+def trajectory(args: Mapping[str, Any], context: Context) -> Produced:
     """Bring the trajectory into the survey's CRS and the points' time, in one file."""
-    path, hashes = context.store.path("trajectory.parquet"), _Hashes()
+    path, hashes = context.store.path("trajectory.parquet"), dict[int, Any]()
     with ExitStack() as stack:
         for name, stamp in zip(args["paths"], args["stamps"], strict=True):
             stack.enter_context(unchanged(Path(name), stamp))
@@ -258,10 +239,10 @@ def gather_trajectory(args: Mapping[str, Any], context: Context) -> Produced:
                 folder=context.store.local,
             )
         )
-        write_trajectory(path, map(hashes.see, found))
+        write_trajectory(path, _hashed(found, hashes))
     facts = {
         "name": named([Path(p).name for p in args["paths"]], 3),
-        "positions": hashes.found(),
+        "positions": {str(span): digest.hexdigest() for span, digest in hashes.items()},
         "findings": [
             *(Finding("T02", {"kind": "file", "what": text}) for text in found.warnings),
             *(Finding("E01", {"kind": "memory", "what": text}) for text in found.notes),
@@ -271,23 +252,13 @@ def gather_trajectory(args: Mapping[str, Any], context: Context) -> Produced:
     return Produced([path], facts)
 
 
-class _Hashes:
-    """Hash of the positions in each span of :data:`POSITIONS_S` that has some."""
-
-    def __init__(self) -> None:
-        self._open: dict[int, Any] = {}
-
-    def see(self, records: Records) -> Records:
-        """Add records that follow those before; they are given back."""
-        time, xyz = records
+def _hashed(records: Iterable[Records], hashes: dict[int, Any]) -> Iterator[Records]:
+    """Records as they come; ``hashes``: gets one of the positions in each span that has some."""
+    for time, xyz in records:
         span = np.floor_divide(time, POSITIONS_S).astype(np.int64)
         cuts = [0, *(np.flatnonzero(np.diff(span)) + 1).tolist(), len(span)]
         rows = np.column_stack([time, xyz])
         for a, b in pairwise(cuts):
-            digest = self._open.setdefault(int(span[a]), hashlib.blake2b(digest_size=8))
+            digest = hashes.setdefault(int(span[a]), hashlib.blake2b(digest_size=8))
             digest.update(rows[a:b].tobytes())
-        return records
-
-    def found(self) -> dict[str, str]:
-        """Hashes by the number of the span."""
-        return {str(span): digest.hexdigest() for span, digest in self._open.items()}
+        yield time, xyz

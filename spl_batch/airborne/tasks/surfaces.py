@@ -54,7 +54,7 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     """Raster cells and final classes of a ground cell."""
     workflow, cell = context.workflow, Cell.of(args, context)
     core = cell.core
-    cell = cell.holding(*_at_once(cell))
+    cell = cell.holding(grow(core, args["halo"]), _columns(cell))
     reflected = {} if args["fired"] is None else _reflectance(cell)
     give_back()
     arrays = _surfaces(cell)
@@ -76,17 +76,14 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     return Produced([labels, *chunks], {"core": list(core), **counted}, n_points)
 
 
-def _at_once(cell: Cell) -> tuple[Bounds, list[str]]:
-    """Region and columns of all looks at a cell."""
-    workflow, far = cell.context.workflow, cell.args["halo"]
-    columns = [*surfacing.COLUMNS_NEEDED, "afterpulse", *pulses.COLUMNS]
-    columns += _classes_columns(workflow)
-    if cell.args["fired"] is None:
-        columns += surfacing.COLUMNS_OF_INTENSITY
-    else:
-        far = max(far, quanta(reflectance.reach_m(workflow.products)))
-        columns += reflectance.COLUMNS_NEEDED
-    return grow(cell.core, far), columns
+def _columns(cell: Cell) -> list[str]:
+    """Columns of all looks at a cell."""
+    unseen = cell.args["fired"] is None
+    return [
+        *(*surfacing.COLUMNS_NEEDED, "afterpulse", *pulses.COLUMNS),
+        *_classes_columns(cell.context.workflow),
+        *(surfacing.COLUMNS_OF_INTENSITY if unseen else reflectance.COLUMNS_NEEDED),
+    ]
 
 
 def _reflectance(cell: Cell) -> Rasters:
@@ -157,11 +154,6 @@ def _mask_outside(arrays: Rasters, aoi: str, core: Bounds, context: Context) -> 
         arrays[name] = np.where(outside, np.float32(NODATA), values)
 
 
-def _classes_reach_q(asked: ClassSettings) -> int:
-    """What is looked at around a cell [quanta]."""
-    return quanta(REACH_M if asked.building else 0.0)
-
-
 def _classes_columns(workflow: Workflow) -> tuple[str, ...]:
     """Columns of points that are looked at."""
     wires = ("wire",) if workflow.filter.wires.classify else ()
@@ -175,9 +167,8 @@ def _classes(cell: Cell, arrays: Rasters, swaths: Swaths) -> tuple[Path, dict[st
     flagged. Gives the file of labels, facts for the report, and how many points were labelled.
     """
     workflow, dtm = cell.context.workflow, arrays["dtm"]
-    table, origin = cell.read(
-        grow(cell.core, _classes_reach_q(workflow.classes)), _classes_columns(workflow)
-    )
+    near = grow(cell.core, quanta(REACH_M if workflow.classes.building else 0.0))
+    table, origin = cell.read(near, _classes_columns(workflow))
     owned = inside(table["x"], table["y"], cell.core)
     roofs = None
     if workflow.classes.building:

@@ -12,7 +12,6 @@ Always on the file system, wherever the store lies::
 """
 
 import dataclasses
-import hashlib
 import json
 import os
 from collections.abc import Iterator, Mapping
@@ -21,7 +20,14 @@ from typing import Any, Final
 
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.errors import DamagedError, StoppedError, reason_of
-from spl_batch.formats.files.atomic import names_in, read_bytes, remove, sync_folder, write_bytes
+from spl_batch.formats.files.atomic import (
+    json_digest,
+    names_in,
+    read_bytes,
+    remove,
+    sync_folder,
+    write_bytes,
+)
 from spl_batch.formats.files.remote import is_remote, remote_path
 
 _DIGEST: Final = "blake2b"
@@ -81,7 +87,7 @@ class Store:
 
 def write_json(path: Path, content: Mapping[str, Any], *, durable: bool = True) -> None:
     """Write plain JSON values with a hash of themselves, atomically."""
-    whole = {**content, _DIGEST: _digest(content)}
+    whole = {**content, _DIGEST: json_digest(content)}
     text = json.dumps(whole, sort_keys=True, allow_nan=False)
     write_bytes(path, text.encode(), durable=durable)
 
@@ -96,7 +102,7 @@ def read_json(path: Path) -> dict[str, Any]:
     """
     try:
         content: dict[str, Any] = json.loads(read_bytes(path))
-        sound = content.pop(_DIGEST) == _digest(content)
+        sound = content.pop(_DIGEST) == json_digest(content)
     except OSError as error:
         raise DamagedError(path, error) from error
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
@@ -104,11 +110,6 @@ def read_json(path: Path) -> dict[str, Any]:
     if not sound:
         raise DamagedError(path, "it does not fit its hash")
     return content
-
-
-def _digest(content: Mapping[str, Any]) -> str:
-    text = json.dumps(content, sort_keys=True, allow_nan=False)
-    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
 def write_receipt(store: Store, receipt: Receipt) -> None:

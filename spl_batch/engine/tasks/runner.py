@@ -4,7 +4,6 @@ What there is to do is declared by :mod:`spl_batch.engine.tasks.step`.
 """
 
 import hashlib
-import json
 import sys
 import time
 import traceback
@@ -31,7 +30,7 @@ from spl_batch.errors import (
     StoppedError,
     one_line,
 )
-from spl_batch.formats.files.atomic import checksum, is_as_written, size, stop_if_full
+from spl_batch.formats.files.atomic import checksum, is_as_written, json_digest, size, stop_if_full
 from spl_batch.imports import content_hash, data_files, imported, module_file
 from spl_batch.receivers import HOMES, steps
 
@@ -104,8 +103,7 @@ def task_key(task: Task, context: RunContext[Any], digests: Iterable[str | None]
     """
     settings = _settings(task.kind, context)
     parts = [task.kind, task.name, task.args, settings, context.crs_wkt, context.code]
-    text = json.dumps([*parts, list(digests)], sort_keys=True)
-    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+    return json_digest([*parts, list(digests)], finite=False)
 
 
 _SETTINGS: Final[dict[str, tuple[Any, dict[str, Any]]]] = {}
@@ -179,13 +177,12 @@ def _receipt(
     """Receipt of a task that was done."""
     paths = {context.store.name_of(path): path for path in produced.outputs}
     outputs = {name: checksum(path) for name, path in paths.items()}
-    text = json.dumps([outputs, produced.facts], sort_keys=True, allow_nan=False)
     looked_at = [n for n in paths if n.endswith(RASTER) or not n.startswith("store/")]
     return Receipt(
         task.kind,
         task.name,
         key,
-        hashlib.blake2b(text.encode(), digest_size=16).hexdigest(),
+        json_digest([outputs, produced.facts]),
         "",
         outputs,
         produced.facts,

@@ -6,8 +6,6 @@ what it has delivered and of the folders of its store. A later one that finds th
 nothing to do. A file that was altered within the store is noticed where it is read.
 """
 
-import hashlib
-import json
 import os
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -40,7 +38,7 @@ from spl_batch.errors import (
     told_by_system,
     told_together,
 )
-from spl_batch.formats.files.atomic import remove, stop_if_full
+from spl_batch.formats.files.atomic import json_digest, remove, stop_if_full
 from spl_batch.receivers import report_model, summariser
 
 COMPILING: Final = (
@@ -305,7 +303,7 @@ def _state(progress: Progress, folders: Iterable[str]) -> str:
         [[n, *stamp_if_there(context.output / n)] for n in sorted(progress.deliveries.files)],
         [_written_ns(context.store.local / name) for name in folders],
     ]
-    return hashlib.blake2b(json.dumps(parts, sort_keys=True).encode(), digest_size=16).hexdigest()
+    return json_digest(parts, finite=False)
 
 
 def _written_ns(folder: Path) -> int:

@@ -6,6 +6,7 @@ not what was written, and is made again.
 
 import errno
 import hashlib
+import json
 import os
 import re
 import secrets
@@ -13,7 +14,7 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Final
 
 from spl_batch.errors import StoppedError, WorkflowError, reason_of
@@ -215,27 +216,43 @@ def checksum(path: Path) -> str:
     ``path``: file or directory.
     """
     digest = hashlib.blake2b(digest_size=16)
-    if is_remote(path):
-        for name in sorted(files_below(path)):
-            digest.update(name.encode() + read_object(path / name if name else path))
-        return digest.hexdigest()
-    for file in _files(path):
-        if file != path:
-            digest.update(file.relative_to(path).as_posix().encode())
+    for name in sorted(_sizes(path), key=PurePosixPath):
+        file = path / name if name else path
+        digest.update(name.encode())
+        if is_remote(path):
+            digest.update(read_object(file))
+            continue
         with file.open("rb") as stream:
             while block := stream.read(1 << 20):
                 digest.update(block)
     return digest.hexdigest()
 
 
+def json_digest(content: object, *, finite: bool = True) -> str:
+    """BLAKE2 hash of plain JSON values, whatever the order of keys: 32 hexadecimal digits.
+
+    ``finite``: whether to raise ValueError over a number that is not.
+    """
+    text = json.dumps(content, sort_keys=True, allow_nan=not finite)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
 def size(path: Path) -> int:
     """Size of a file, or of all files of a directory [byte]; -1 where there is neither."""
     try:
-        if is_remote(path):
-            return sum(files_below(path).values())
-        return sum(file.stat().st_size for file in _files(path))
+        return sum(_sizes(path).values())
     except (FileNotFoundError, NotADirectoryError):
         return -1
+
+
+def _sizes(path: Path) -> dict[str, int]:
+    """Files at a path and below it: relative name, empty for itself, and size [byte]."""
+    if is_remote(path):
+        return files_below(path)
+    if not path.is_dir():
+        return {"": path.stat().st_size}
+    files = (file for file in path.rglob("*") if file.is_file())
+    return {file.relative_to(path).as_posix(): file.stat().st_size for file in files}
 
 
 def is_as_written(path: Path, bytes_: int, written_ns: int | None, content: str) -> bool:
@@ -273,11 +290,6 @@ def remove(path: Path) -> None:
         # Where a file stands in place of the folder there is nothing to remove either.
         with suppress(FileNotFoundError, NotADirectoryError):
             path.unlink()
-
-
-def _files(path: Path) -> list[Path]:
-    """Files of a directory in order, or the file itself."""
-    return sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
 
 
 def _make_folder(path: Path, *, durable: bool) -> None:

@@ -9,8 +9,6 @@ import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
-from types import TracebackType
 from typing import Any, BinaryIO, Final, Self
 
 import lazrs
@@ -26,7 +24,7 @@ from spl_batch.formats.las.counts import (
     refuse_uncounted_records,
     refuse_uncounted_rest,
 )
-from spl_batch.formats.las.header import LasHeader, open_input
+from spl_batch.formats.las.header import MAX_LENGTH, LasHeader, open_input
 from spl_batch.formats.las.records import RecordLayout, record_layout
 
 LASZIP_KEY: Final = ("laszip encoded", 22204)
@@ -37,8 +35,9 @@ CHUNK_SIZE_AT: Final = 12
 """Where a LASzip record has the points of a chunk."""
 
 _ITEM: Final = struct.Struct("<HHH")
-_LONG: Final = 2**16 - 1
-_VARIABLE: Final = 2**32 - 1
+VARIABLE: Final = 2**32 - 1
+"""Points of a chunk in that record where the chunk table has them."""
+
 CHUNK_POINTS_MAX: Final = 5_000_000
 """Points of a chunk that can be decoded in bounded memory [count]."""
 
@@ -57,10 +56,9 @@ class ChunkTable:
     bytes: NDArray[np.int64]  #: (c + 1,): first byte of each chunk in the file.
 
 
-def read_chunk_table(header: LasHeader, file: BinaryIO) -> ChunkTable:
-    """Read and check the LASzip record and the chunk table; InputError where they are not whole."""
+def _chunk_table(header: LasHeader, file: BinaryIO, laszip: bytes) -> ChunkTable:
+    """Read and check the chunk table; InputError where it is not whole."""
     path = str(header.path)
-    laszip = _laszip_data(header)
     chunk_points = CHUNK_SIZE.unpack_from(laszip, CHUNK_SIZE_AT)[0]
     if header.n_points == 0:
         refuse_uncounted_chunks(header, file)
@@ -70,7 +68,7 @@ def read_chunk_table(header: LasHeader, file: BinaryIO) -> ChunkTable:
     size = header.n_points * header.record_size
     refuse_bomb(path, f"{header.n_points} points", size, header.size_bytes - start_byte)
     table_byte = _table_place(header, file, start_byte)
-    variable = chunk_points == _VARIABLE
+    variable = chunk_points == VARIABLE
     exact = -(-header.n_points // chunk_points)
     count = bounded(
         path,
@@ -107,10 +105,8 @@ def _check_entries(
     bounded(path, "bytes of all LAZ chunks", sum(s for _, s in entries), most=there)
     if variable:
         counts = [n for n, _ in entries]
-        bounded(path, "points of the smallest LAZ chunk", min(counts), most=_VARIABLE)
-        bounded(
-            path, "points of all LAZ chunks", sum(counts), least=header.n_points, most=_VARIABLE
-        )
+        bounded(path, "points of the smallest LAZ chunk", min(counts), most=VARIABLE)
+        bounded(path, "points of all LAZ chunks", sum(counts), least=header.n_points, most=VARIABLE)
         if sum(counts) > header.n_points:
             raise miscounted(header, f"its LAZ chunks hold {grouped(sum(counts))}")
 
@@ -121,7 +117,7 @@ def _laszip_data(header: LasHeader) -> bytes:
     if vlr is None:
         raise InputError(path, "is compressed but has no LASzip record: the file is damaged")
     length = bounded(
-        path, "bytes of its LASzip record", len(vlr.data), least=_LASZIP.size, most=_LONG
+        path, "bytes of its LASzip record", len(vlr.data), least=_LASZIP.size, most=MAX_LENGTH
     )
     compressor, coder, *_, chunk_points, _, _, n_items = _LASZIP.unpack_from(vlr.data)
     bounded(path, "LASzip compressor", compressor, least=2, most=3, remedy=_REMEDY)
@@ -133,7 +129,7 @@ def _laszip_data(header: LasHeader) -> bytes:
         return vlr.data
     # LASzip takes 0 for chunks whose sizes are in their table.
     start, stop = CHUNK_SIZE_AT, CHUNK_SIZE_AT + CHUNK_SIZE.size
-    return vlr.data[:start] + CHUNK_SIZE.pack(_VARIABLE) + vlr.data[stop:]
+    return vlr.data[:start] + CHUNK_SIZE.pack(VARIABLE) + vlr.data[stop:]
 
 
 def laszip_items(laszip: bytes) -> list[tuple[int, int, int]]:
@@ -184,9 +180,10 @@ class RecordReader:
         self.header = header
         self.layout: RecordLayout = record_layout(header)
         self._dtype = self.layout.dtype
-        self._opened = open_input(header.path)
+        self.path = header.path
+        self._opened = open_input(header.path)  # it closes the file when nothing refers to it
         self._file = self._opened.__enter__()
-        self._table: ChunkTable | None = None
+        self._table = ChunkTable(np.zeros(1, np.int64), np.zeros(1, np.int64))
         self.laszip = b""
         self._n_layers = 0
         self._layers_head = struct.Struct("")
@@ -196,7 +193,7 @@ class RecordReader:
                 self.laszip = _laszip_data(header)
                 self._n_layers = count_layers(self.laszip)
                 self._layers_head = struct.Struct(f"<{1 + self._n_layers}I")
-                self._table = read_chunk_table(header, self._file)
+                self._table = _chunk_table(header, self._file, self.laszip)
             else:
                 refuse_uncounted_records(header, self._file)
         except BaseException:
@@ -206,28 +203,18 @@ class RecordReader:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._opened.__exit__(kind, error, trace)
-
-    @property
-    def path(self) -> Path:
-        """The file."""
-        return self.header.path
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
 
     def read(self, start: int, stop: int) -> NDArray[Any]:
         """Records ``[start, stop)``: (stop - start,) structured, with the dtype of the layout."""
         out = np.empty(stop - start, dtype=self._dtype)
-        if self._table is None:
+        if not self.header.compressed:
             self._read_plain(start, out)
             return out
         first = int(np.searchsorted(self._table.points, start, side="right")) - 1
         while start < stop:
-            begin, end = (int(v) for v in self._table.points[first : first + 2])
+            begin, end = self._table.points[first : first + 2].tolist()
             take = slice(start - (stop - len(out)), min(end, stop) - (stop - len(out)))
             if begin == start and end <= stop:
                 self._decode(first, out[take])
@@ -255,7 +242,7 @@ class RecordReader:
         n = self.header.n_points
         if n <= 2 * count:
             return [(0, self.read(0, n))]
-        if self._table is None:
+        if not self.header.compressed:
             return [(start, self.read(start, start + count)) for start in (0, n - count)]
         sizes = np.diff(self._table.points)
         found: list[tuple[int, NDArray[Any]]] = []
@@ -295,10 +282,9 @@ class RecordReader:
         bounded(self.path, f"bytes of the layers of {named}", sum(sizes), least=there, most=there)
 
     def _decode(self, chunk: int, out: NDArray[Any]) -> None:
-        table = self._table
-        if table is None or len(out) == 0:
+        if len(out) == 0:
             return
-        begin, end, packed = self._packed(table, chunk)
+        begin, end, packed = self._packed(chunk)
         with as_input_fault(self.path, f"points {begin} to {end - 1} cannot be decoded"):
             lazrs.decompress_points_with_chunk_table(
                 packed, self.laszip, out.view(np.uint8), [(len(out), len(packed))]
@@ -308,15 +294,12 @@ class RecordReader:
 
     def packed_chunks(self) -> Iterator[tuple[int, int, bytes]]:
         """First point, past-the-last point and bytes of each LAZ chunk that holds points."""
-        table = self._table
-        if table is None:
-            return
-        for chunk in np.flatnonzero(np.diff(table.points)).tolist():
-            yield self._packed(table, chunk)
+        for chunk in np.flatnonzero(np.diff(self._table.points)).tolist():
+            yield self._packed(chunk)
 
-    def _packed(self, table: ChunkTable, chunk: int) -> tuple[int, int, bytes]:
-        begin, end = (int(v) for v in table.points[chunk : chunk + 2])
-        low, high = (int(v) for v in table.bytes[chunk : chunk + 2])
+    def _packed(self, chunk: int) -> tuple[int, int, bytes]:
+        begin, end = self._table.points[chunk : chunk + 2].tolist()
+        low, high = self._table.bytes[chunk : chunk + 2].tolist()
         with as_input_fault(self.path, f"points from {begin} on cannot be read"):
             self._file.seek(low)
             packed = self._file.read(high - low)

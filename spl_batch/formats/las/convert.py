@@ -46,7 +46,7 @@ class Conversion:
     given: RecordLayout
     layout: RecordLayout
     kept: tuple[tuple[str, str], ...]  #: Fields of extra dimensions: before, after.
-    mended: tuple[str, ...]  #: Names of extra dimensions that are described anew.
+    mended: tuple[str, ...] = ()  #: Names of extra dimensions that are described anew.
 
     def records(self, given: NDArray[Any]) -> NDArray[Any]:
         """Records, (n,), of the layout before, as those of the layout after; what is added is 0."""

@@ -11,23 +11,23 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-import lazrs
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.errors import InputError
 from spl_batch.formats.crs import WKT_KEY
-from spl_batch.formats.las.chunks import LASZIP_KEY, RecordReader
+from spl_batch.formats.las.chunks import LASZIP_KEY, VARIABLE, RecordReader
 from spl_batch.formats.las.frame import (
+    PLACE,
     Extent,
     Frame,
-    WatchedFile,
-    extra_vlr,
-    header_bytes,
+    framed,
+    laz_record,
     output_file,
+    packed_chunk,
     preamble,
-    start_file,
     wkt_vlr,
+    write_chunks,
 )
 from spl_batch.formats.las.header import EVLR_HEAD, HEADER_SIZES, VLR_HEAD, Vlr, read_header
 from spl_batch.formats.las.known_records import header_crs
@@ -77,8 +77,28 @@ def write_copc(path: Path, frame: Frame, records: NDArray[Any]) -> int:
         Of the frame's layout.
     """
     cube, nodes = octree(records)
+    laz, extent = laz_record(frame.layout, VARIABLE), Extent()
+
+    def chunks() -> Iterator[tuple[int, bytes]]:
+        for node in nodes:
+            part = records[node.records]
+            extent.add(part)
+            yield len(part), packed_chunk(part, laz)
+
+    info = Vlr(_USER, _INFO_ID, b"COPC info", bytes(_INFO.size))
+    frame = replace(frame, vlrs=[info, *frame.vlrs], evlrs=())
     with output_file(path) as file:
-        _write(file, frame, records, cube, nodes)
+        with framed(file, frame, laz, extent) as more:
+            place = file.tell() + PLACE.size
+            hierarchy = b""
+            for node, (count, size) in zip(nodes, write_chunks(file, laz, chunks()), strict=True):
+                key = (node.level, node.x, node.y, node.z)
+                hierarchy += _ENTRY.pack(*key, place, size, count)
+                place += size
+            more.append(Vlr(_USER, _HIERARCHY_ID, b"COPC hierarchy", hierarchy))
+            root = file.seek(0, 2) + EVLR_HEAD.size, len(hierarchy)
+        file.seek(_INFO_START)
+        file.write(_info(frame, records, cube, root))
     return len(records)
 
 
@@ -178,56 +198,6 @@ def _nodes_of_level(
             _, first = np.unique(cells, return_index=True)
             members = members[np.sort(first)]  # noqa: PLW2901 - the node's share of them
         yield Node(level, keys[0], keys[1], keys[2], members)
-
-
-def _write(
-    file: WatchedFile, frame: Frame, records: NDArray[Any], cube: Cube, nodes: list[Node]
-) -> None:
-    extra_bytes = sum(d.dtype.itemsize for d in frame.layout.extra)
-    laz = lazrs.LazVlr.new_for_compression(
-        frame.layout.point_format, extra_bytes, use_variable_size_chunks=True
-    )
-    info = Vlr(_USER, _INFO_ID, b"COPC info", bytes(_INFO.size))
-    packing = Vlr(LASZIP_KEY[0].encode(), LASZIP_KEY[1], b"lazrs", bytes(laz.record_data()))
-    vlrs = [info, *frame.vlrs, *extra_vlr(frame.layout), packing]
-    points_start = start_file(file, vlrs)
-    compressor = lazrs.LasZipCompressor(file, laz)
-    extent = Extent()
-    for number, node in enumerate(nodes):
-        if number:
-            compressor.finish_current_chunk()
-        part = records[node.records]
-        extent.add(part)
-        compressor.compress_many(part.view(np.uint8))
-    compressor.done()
-    file.flush()
-    hierarchy = _hierarchy(file, laz, points_start, nodes)
-    evlr_start = file.seek(0, 2)
-    file.write(EVLR_HEAD.pack(0, _USER, _HIERARCHY_ID, len(hierarchy), b"COPC hierarchy"))
-    file.write(hierarchy)
-    file.seek(0)
-    # The header counts the hierarchy as an extended record, which the frame does not list.
-    header = header_bytes(
-        replace(frame, evlrs=()), extent, len(vlrs), points_start, (evlr_start, 0)
-    )
-    file.write(header[:243] + struct.pack("<I", 1) + header[247:])
-    file.seek(_INFO_START)
-    root = (evlr_start + EVLR_HEAD.size, len(hierarchy))
-    file.write(_info(frame, records, cube, root))
-
-
-def _hierarchy(file: WatchedFile, laz: Any, points_start: int, nodes: list[Node]) -> bytes:
-    if not nodes:
-        return b""
-    file.seek(points_start)
-    place = points_start + 8
-    entries = b""
-    table = lazrs.read_chunk_table(file.file, laz)
-    for node, (_, size) in zip(nodes, table, strict=True):
-        key = (node.level, node.x, node.y, node.z)
-        entries += _ENTRY.pack(*key, place, size, len(node.records))
-        place += size
-    return entries
 
 
 def _info(frame: Frame, records: NDArray[Any], cube: Cube, root: tuple[int, int]) -> bytes:

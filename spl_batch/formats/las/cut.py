@@ -15,14 +15,9 @@ from numpy.typing import NDArray
 
 from spl_batch.errors import InputError
 from spl_batch.formats.las.chunks import RecordReader
+from spl_batch.formats.las.convert import Conversion
 from spl_batch.formats.las.frame import Frame, preamble, wkt_vlr, write_laz
-from spl_batch.formats.las.header import (
-    ADJUSTED_BIT,
-    LasHeader,
-    Vlr,
-    read_header,
-    standard_dtype,
-)
+from spl_batch.formats.las.header import ADJUSTED_BIT, LasHeader, Vlr, read_header
 from spl_batch.formats.las.known_records import header_crs
 from spl_batch.formats.las.reader import own_coordinate
 from spl_batch.formats.las.records import ExtraDimension, RecordLayout, record_layout
@@ -121,12 +116,9 @@ def _converted(
     given: NDArray[Any], layout: RecordLayout, header: LasHeader, frame: Frame
 ) -> NDArray[Any]:
     """Records of a cloud as those of the cut."""
-    out = np.zeros(len(given), frame.layout.dtype)
-    for name in standard_dtype(layout.point_format).names or ():
-        out[name] = given[name]
     fields = {one.name: one.field for one in frame.layout.extra}
-    for one in layout.extra:
-        out[fields[one.name]] = given[one.field]
+    kept = tuple((one.field, fields[one.name]) for one in layout.extra)
+    out = Conversion(layout, frame.layout, kept).records(given)
     if (header.scales, header.offsets) != (frame.scales, frame.offsets):
         raw = np.column_stack([given[axis] for axis in "XYZ"])
         frame.place(out, raw * header.scales + header.offsets, header.path)

@@ -9,7 +9,8 @@ their wave packets, though it reads those of others well.
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -29,6 +30,7 @@ from spl_batch.formats.gps_clock import TimeStandard
 from spl_batch.formats.las.chunks import CHUNK_SIZE, CHUNK_SIZE_AT, LASZIP_KEY
 from spl_batch.formats.las.header import (
     ADJUSTED_BIT,
+    COMPRESSED_BIT,
     EVLR_HEAD,
     EXTERNAL_BIT,
     HEADER_SIZES,
@@ -44,9 +46,10 @@ from spl_batch.formats.las.records import EXTRA_BYTES_KEY, RecordLayout
 
 HEADER_SIZE: Final = HEADER_SIZES[4]
 _COPY_BYTES: Final = 1 << 20
-_COMPRESSED_BIT: Final = 0x80
 _UNCOMPRESSED: Final = (9, 10)
-_PLACE: Final = struct.Struct("<q")
+PLACE: Final = struct.Struct("<q")
+"""Where points begin: the place of the chunk table, behind the chunks."""
+
 _COUNTS: Final = struct.Struct("<QQIQ15Q")
 WAVEFORM_KEY: Final = ("LASF_Spec", 65535)
 _FIELDS: Final = {
@@ -154,12 +157,6 @@ class WatchedFile:
         return call
 
 
-def _read_back(path: Path) -> None:
-    """Open a file, and read a point of it: whoever gets it can do so."""
-    with laspy.open(path, laz_backend=laspy.LazBackend.Lazrs) as file:
-        laspy.LasData(file.header, file.read_points(1))
-
-
 @contextmanager
 def output_file(path: Path) -> Iterator[WatchedFile]:
     """Open a file that takes its name when the block succeeds."""
@@ -172,30 +169,31 @@ def output_file(path: Path) -> Iterator[WatchedFile]:
             if watched.error is not None:
                 raise watched.error from None
             raise
-        with as_input_fault(f"{path} as it was written"):
-            _read_back(temporary)
+        # Whoever gets it can open it, and read a point of it.
+        with (
+            as_input_fault(f"{path} as it was written"),
+            laspy.open(temporary, laz_backend=laspy.LazBackend.Lazrs) as written,
+        ):
+            laspy.LasData(written.header, written.read_points(1))
 
 
+@dataclass
 class Extent:
     """Counts and bounding box that the header needs, gathered from the records."""
 
-    def __init__(self) -> None:
-        self.low = [2**31] * 3
-        self.high = [-(2**31)] * 3
-        self.returns = np.zeros(16, dtype=np.int64)
+    #: (2, 3) int64: largest raw X, Y, Z, then the smallest.
+    ends: NDArray[np.int64] = field(default_factory=partial(np.outer, [-(2**31), 2**31], [1] * 3))
+    #: (16,) int64: records by return number [count].
+    returns: NDArray[np.int64] = field(default_factory=partial(np.full, 16, np.int64(0)))
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[np.int64]]) -> "Extent":
         """What :meth:`to_arrays` gave."""
-        found = cls()
-        found.low, found.high = (arrays[f"extent/{side}"].tolist() for side in ("low", "high"))
-        found.returns = arrays["extent/returns"]
-        return found
+        return cls(arrays["extent/ends"], arrays["extent/returns"])
 
     def to_arrays(self) -> dict[str, NDArray[np.int64]]:
         """Arrays by name, to be stored."""
-        sides = {"low": self.low, "high": self.high, "returns": self.returns}
-        return {f"extent/{name}": np.asarray(v, np.int64) for name, v in sides.items()}
+        return {"extent/ends": self.ends, "extent/returns": self.returns}
 
     @property
     def n_points(self) -> int:
@@ -204,26 +202,21 @@ class Extent:
 
     def add(self, records: NDArray[Any]) -> None:
         """Count records in."""
-        for axis, name in enumerate("XYZ"):
-            self.low[axis] = min(self.low[axis], int(records[name].min()))
-            self.high[axis] = max(self.high[axis], int(records[name].max()))
-        self.returns += np.bincount(records["bit_fields"] & 15, minlength=16)
+        ends = np.array([[records[a].max() for a in "XYZ"], [records[a].min() for a in "XYZ"]])
+        self.join(Extent(ends, np.bincount(records["bit_fields"] & 15, minlength=16)))
 
     def join(self, other: "Extent") -> None:
         """Count in what another one has counted."""
-        self.low = [min(pair) for pair in zip(self.low, other.low, strict=True)]
-        self.high = [max(pair) for pair in zip(self.high, other.high, strict=True)]
+        largest = np.maximum(self.ends[0], other.ends[0])
+        self.ends = np.stack([largest, np.minimum(self.ends[1], other.ends[1])])
         self.returns = self.returns + other.returns
 
     def box(self, frame: Frame) -> list[float]:
         """Max x, min x, max y, and so on: the header's order [m]."""
         if self.n_points == 0:
             return [0.0] * 6
-        return [
-            side[axis] * frame.scales[axis] + frame.offsets[axis]
-            for axis in range(3)
-            for side in (self.high, self.low)
-        ]
+        box: list[float] = (self.ends * frame.scales + frame.offsets).T.ravel().tolist()
+        return box
 
 
 def write_laz(path: Path, frame: Frame, chunks: Iterable[NDArray[Any]]) -> int:
@@ -241,7 +234,7 @@ def write_laz(path: Path, frame: Frame, chunks: Iterable[NDArray[Any]]) -> int:
     laz = None if frame.layout.point_format in _UNCOMPRESSED else laz_record(frame.layout)
     with output_file(path) as file:
         extent = Extent()
-        with _framed(file, frame, laz, extent):
+        with framed(file, frame, laz, extent):
             compressor = None if laz is None else lazrs.LasZipCompressor(file, laz)
             for records in chunks:
                 if not len(records):
@@ -264,42 +257,87 @@ def write_packed(
 
     ``chunks``: iterable of (int, bytes), points of each chunk, and its bytes.
     """
-    with output_file(path) as file, _framed(file, frame, laz, extent):
-        start = file.tell()
-        file.write(bytes(_PLACE.size))
-        table = []
-        for points, packed in chunks:
-            file.write(packed)
-            table.append((points, len(packed)))
-        place = file.tell()
-        lazrs.write_chunk_table(file, table, laz)
-        file.seek(start)
-        file.write(_PLACE.pack(place))
+    with output_file(path) as file, framed(file, frame, laz, extent):
+        write_chunks(file, laz, chunks)
     return extent.n_points
 
 
+def write_chunks(
+    file: WatchedFile, laz: Any, chunks: Iterable[tuple[int, bytes]]
+) -> list[tuple[int, int]]:
+    """Write compressed chunks and their table; points and bytes of each chunk."""
+    start = file.tell()
+    file.write(bytes(PLACE.size))
+    table = []
+    for points, packed in chunks:
+        file.write(packed)
+        table.append((points, len(packed)))
+    place = file.tell()
+    lazrs.write_chunk_table(file, table or [(0, 0)], laz)  # as the compressor does it
+    file.seek(start)
+    file.write(PLACE.pack(place))
+    return table
+
+
+def packed_chunk(records: NDArray[Any], laz: Any) -> bytes:
+    """Bytes of a chunk of records."""
+    content: bytes = lazrs.compress_points(laz, records.view(np.uint8), parallel=False)
+    return content[PLACE.size : PLACE.unpack_from(content)[0]]  # the table lies behind it
+
+
 @contextmanager
-def _framed(file: WatchedFile, frame: Frame, laz: Any | None, extent: Extent) -> Iterator[None]:
-    """Everything before the points; when they are written, what follows, and the header."""
-    vlrs = [*frame.vlrs, *extra_vlr(frame.layout)]
+def framed(file: WatchedFile, frame: Frame, laz: Any | None, extent: Extent) -> Iterator[list[Vlr]]:
+    """Everything before the points; when they are written, what follows, and the header.
+
+    What the block puts into the list follows as extended records.
+    """
+    layout, vlrs = frame.layout, [*frame.vlrs]
+    if described := b"".join(d.descriptor for d in layout.extra):
+        user_id, record_id = EXTRA_BYTES_KEY
+        vlrs.append(Vlr(user_id.encode(), record_id, b"Extra Bytes Record", described))
     if laz is not None:
         data = bytes(laz.record_data())
         vlrs.append(Vlr(LASZIP_KEY[0].encode(), LASZIP_KEY[1], b"lazrs", data))
-    points_start = start_file(file, vlrs)
-    yield
-    file.seek(0, 2)
-    places = _write_evlrs(file, frame)
-    file.seek(0)
-    file.write(header_bytes(frame, extent, len(vlrs), points_start, places))
-
-
-def start_file(file: WatchedFile, vlrs: Sequence[Vlr]) -> int:
-    """Leave room for the header, write the VLRs; gives the byte where points start."""
     file.write(bytes(HEADER_SIZE))
     for vlr in vlrs:
         head = (0, vlr.user_id, vlr.record_id, len(vlr.data), vlr.description)
         file.write(VLR_HEAD.pack(*head) + vlr.data)
-    return int(file.tell())
+    points_start, more = file.tell(), list[Vlr]()
+    yield more
+    evlrs_start, waveforms = file.seek(0, 2), 0
+    for evlr, source in frame.evlrs:
+        if evlr.key == WAVEFORM_KEY:
+            waveforms = file.tell()
+        _copy_record(file, evlr, source)
+    for vlr in more:
+        head = (0, vlr.user_id, vlr.record_id, len(vlr.data), vlr.description)
+        file.write(EVLR_HEAD.pack(*head) + vlr.data)
+    n_evlrs = len(frame.evlrs) + len(more)
+    fixed = struct.pack(
+        "<HIIBHI5I",
+        HEADER_SIZE,
+        points_start,
+        len(vlrs),
+        layout.point_format | (0 if laz is None else COMPRESSED_BIT),
+        layout.dtype.itemsize,
+        *[0] * 6,  # the old counts stay zero in point formats 6-10
+    )
+    floats = struct.pack("<12d", *frame.scales, *frame.offsets, *extent.box(frame))
+    places = waveforms, evlrs_start if n_evlrs else 0, n_evlrs
+    counts = _COUNTS.pack(*places, extent.n_points, *extent.returns[1:].tolist())
+    file.seek(0)
+    file.write(frame.preamble + fixed + floats + counts)
+
+
+def _copy_record(file: WatchedFile, evlr: Evlr, source: Path) -> None:
+    """Write an extended record as another file has it."""
+    file.write(EVLR_HEAD.pack(0, evlr.user_id, evlr.record_id, evlr.size, evlr.description))
+    left = evlr.size
+    with source.open("rb") as old:
+        old.seek(evlr.start)
+        while left and (block := old.read(min(left, _COPY_BYTES))):
+            file.write(block)
+            left -= len(block)
 
 
 def laz_record(layout: RecordLayout, chunk_points: int | None = None) -> Any:
@@ -311,49 +349,3 @@ def laz_record(layout: RecordLayout, chunk_points: int | None = None) -> Any:
     data = bytearray(laz.record_data())
     CHUNK_SIZE.pack_into(data, CHUNK_SIZE_AT, chunk_points)
     return lazrs.LazVlr(bytes(data))
-
-
-def extra_vlr(layout: RecordLayout) -> list[Vlr]:
-    """Record that describes the extra bytes; none where there are none."""
-    described = b"".join(d.descriptor for d in layout.extra)
-    if not described:
-        return []
-    return [Vlr(EXTRA_BYTES_KEY[0].encode(), EXTRA_BYTES_KEY[1], b"Extra Bytes Record", described)]
-
-
-def _write_evlrs(file: WatchedFile, frame: Frame) -> tuple[int, int]:
-    """Copy the extended records; gives the place of the first and of the waveforms."""
-    start, waveforms = (file.tell() if frame.evlrs else 0), 0
-    for evlr, source in frame.evlrs:
-        if evlr.key == WAVEFORM_KEY:
-            waveforms = file.tell()
-        head = (0, evlr.user_id, evlr.record_id, evlr.size, evlr.description)
-        file.write(EVLR_HEAD.pack(*head))
-        left = evlr.size
-        with source.open("rb") as old:
-            old.seek(evlr.start)
-            while left and (block := old.read(min(left, _COPY_BYTES))):
-                file.write(block)
-                left -= len(block)
-    return start, waveforms
-
-
-def header_bytes(
-    frame: Frame, extent: Extent, n_vlrs: int, points_start: int, places: tuple[int, int]
-) -> bytes:
-    """Bytes of the header; ``places`` are those of the first EVLR and of the waveforms."""
-    evlrs_start, waveforms = places
-    layout = frame.layout
-    fixed = struct.pack(
-        "<HIIBHI5I",
-        HEADER_SIZE,
-        points_start,
-        n_vlrs,
-        layout.point_format | (0 if layout.point_format in _UNCOMPRESSED else _COMPRESSED_BIT),
-        layout.dtype.itemsize,
-        *[0] * 6,  # the old counts stay zero in point formats 6-10
-    )
-    floats = struct.pack("<12d", *frame.scales, *frame.offsets, *extent.box(frame))
-    returns = extent.returns[1:].tolist()
-    counts = _COUNTS.pack(waveforms, evlrs_start, len(frame.evlrs), extent.n_points, *returns)
-    return frame.preamble + fixed + floats + counts

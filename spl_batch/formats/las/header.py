@@ -21,7 +21,7 @@ import numpy as np
 
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import InputError, reason_of
-from spl_batch.formats.declared import bounded, gathered
+from spl_batch.formats.declared import DAMAGED, bounded, gathered
 
 HEADER_SIZES: Final = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
 """Bytes of the header by minor version."""
@@ -39,7 +39,7 @@ a CRS as WKT [LAS 1.4 R15, 2.4]."""
 _CORE: Final = struct.Struct("<HIIBHI5I12d")
 _CORE_START: Final = 94
 _POINT_FORMATS: Final = 11
-_COMPRESSED_BIT: Final = 0x80
+COMPRESSED_BIT: Final = 0x80
 _FAR_M: Final = 1e9
 _SCALE_MAX_M: Final = 1000.0
 _HIGH_M: Final = (2**31 - 1) / QUANTA_PER_M
@@ -47,9 +47,9 @@ _MAX_POINTS: Final = 2**32 - 1
 _START_SIGNATURES: Final = (b"\xdd\xcc", b"\xcc\xdd")
 """Bytes before the points of LAS 1.0; some writers count them among the points."""
 
-_MAX_LENGTH: Final = 2**16 - 1
+MAX_LENGTH: Final = 2**16 - 1
 _MAX_RECORDS: Final = 4096
-_REWRITE: Final = "the header is damaged, rewrite the file with the software that made it"
+REWRITE: Final = "the header is damaged, rewrite the file with the software that made it"
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +98,6 @@ class LasHeader:
     maxs_m: tuple[float, float, float]
     vlrs: tuple[Vlr, ...]
     evlrs: tuple[Evlr, ...]
-    warnings: tuple[str, ...]
 
     @property
     def global_encoding(self) -> int:
@@ -170,28 +169,28 @@ def read_header(path: Path) -> LasHeader:
         floats = _CORE.unpack_from(raw, _CORE_START)[11:]
         if raw[25] == 0:
             points_start += _signature_bytes(file, points_start)
-        compressed = bool(pf & _COMPRESSED_BIT)
-        version = (raw[24], raw[25])
-        n_points = _count_points(raw, version[1], legacy)
+        point_format, compressed = pf & 0x3F, bool(pf & COMPRESSED_BIT)
+        # Headers before 1.4 end here; some writers of 1.4 fill the legacy count only.
+        n_points = int.from_bytes(raw[247:255], "little") or legacy
+        room = min(max(points_start - header_size, 0) // VLR_HEAD.size, _MAX_RECORDS)
+        there = max(size - points_start, 0) // max(record_size, 1)
+        remedy = "it is cut off or its header is damaged, copy it again"
+        if compressed or there > _MAX_POINTS:
+            there, remedy = _MAX_POINTS, "split it"
+        known = range(_POINT_FORMATS)
+        least = standard_dtype(point_format).itemsize if point_format in known else 0
+        checks = (
+            ("point format", point_format, 0, known[-1], "convert it"),
+            ("point record length", record_size, least, MAX_LENGTH, DAMAGED),
+            ("header size", header_size, HEADER_SIZES[raw[25]], MAX_LENGTH, DAMAGED),
+            ("offset to point data", points_start, header_size, size, DAMAGED),
+            ("number of VLRs", n_vlrs, 0, room, REWRITE),
+            ("number of points", n_points, 0, there, remedy),
+        )
         faults = _coordinate_faults(floats, n_points)
-        with gathered(faults):
-            bounded(path, "point format", pf & 0x3F, most=_POINT_FORMATS - 1, remedy="convert it")
-            least = standard_dtype(pf & 0x3F).itemsize
-            bounded(path, "point record length", record_size, least=least, most=_MAX_LENGTH)
-        with gathered(faults):
-            least = HEADER_SIZES[version[1]]
-            bounded(path, "header size", header_size, least=least, most=_MAX_LENGTH)
-        with gathered(faults):
-            bounded(path, "offset to point data", points_start, least=header_size, most=size)
-        with gathered(faults):
-            room = min(max(points_start - header_size, 0) // VLR_HEAD.size, _MAX_RECORDS)
-            bounded(path, "number of VLRs", n_vlrs, most=room, remedy=_REWRITE)
-        with gathered(faults):
-            there = max(size - points_start, 0) // max(record_size, 1)
-            remedy = "it is cut off or its header is damaged, copy it again"
-            if compressed or there > _MAX_POINTS:
-                there, remedy = _MAX_POINTS, "split it"
-            bounded(path, "number of points", n_points, most=there, remedy=remedy)
+        for what, value, low, high, helps in checks:
+            with gathered(faults):
+                bounded(path, what, value, least=low, most=high, remedy=helps)
         vlrs: tuple[Vlr, ...] = ()
         evlrs: tuple[Evlr, ...] = ()
         if not faults:
@@ -205,8 +204,8 @@ def read_header(path: Path) -> LasHeader:
         path=path,
         size_bytes=size,
         raw=raw,
-        version=version,
-        point_format=pf & 0x3F,
+        version=(raw[24], raw[25]),
+        point_format=point_format,
         compressed=compressed,
         record_size=record_size,
         n_points=n_points,
@@ -217,7 +216,6 @@ def read_header(path: Path) -> LasHeader:
         maxs_m=floats[6::2],
         vlrs=vlrs,
         evlrs=evlrs,
-        warnings=() if n_points else ("the file holds no points",),
     )
 
 
@@ -252,13 +250,6 @@ def _signature_bytes(file: BinaryIO, points_start: int) -> int:
     return 2 * (around[2:] in _START_SIGNATURES and around[:2] not in _START_SIGNATURES)
 
 
-def _count_points(raw: bytes, minor: int, legacy: int) -> int:
-    if minor < 4:
-        return legacy
-    # Some writers of 1.4 fill the legacy count only.
-    return int.from_bytes(raw[247:255], "little") or legacy
-
-
 def _coordinate_faults(floats: tuple[float, ...], n_points: int) -> list[str]:
     """Scales, offsets and ends of the bounding box that cannot be."""
     faults = []
@@ -266,6 +257,7 @@ def _coordinate_faults(floats: tuple[float, ...], n_points: int) -> list[str]:
         scale, offset = floats[axis], floats[3 + axis]
         high, low = floats[6 + 2 * axis : 8 + 2 * axis]
         box, far = f"bounding box {name} {low} to {high}", _HIGH_M if name == "z" else _FAR_M
+        steps = (low - offset) / scale if scale > 0 else 0.0
         if not 0 < scale <= _SCALE_MAX_M:
             allowed = f"must be > 0 and <= {_SCALE_MAX_M}"
             faults.append(f"{name} scale {scale}; {allowed}: the header is damaged")
@@ -277,7 +269,7 @@ def _coordinate_faults(floats: tuple[float, ...], n_points: int) -> list[str]:
             faults.append(f"{box}; {order}: repair the header (lasinfo -repair_bb)")
         elif n_points and max(abs(low), abs(high)) > far:
             faults.append(f"{box}; allowed -{far:.0f} to {far:.0f}: the header is damaged")
-        elif n_points and scale > 0 and _is_cut(low, scale, offset):
+        elif n_points and abs(abs(steps + 0.5) - (2**31 - 0.5)) < 0.5:  # -(2**31) or 2**31 - 1
             faults.append(
                 f"{box} starts at the end of 32-bit numbers of scale {scale} and offset {offset}:"
                 " coordinates did not fit when they were written; write the file again with an"
@@ -286,20 +278,15 @@ def _coordinate_faults(floats: tuple[float, ...], n_points: int) -> list[str]:
     return faults
 
 
-def _is_cut(low: float, scale: float, offset: float) -> bool:
-    """Whether a box starts where 32-bit numbers end."""
-    return abs(abs((low - offset) / scale + 0.5) - (2**31 - 0.5)) < 0.5
-
-
 def _read_vlrs(path: Path, file: BinaryIO, start: int, stop: int, count: int) -> Iterator[Vlr]:
     file.seek(start)
     for number in range(1, count + 1):
         name = f"VLR {number} of {count}"
         start = bounded(
-            path, f"end of the head of {name}", start + VLR_HEAD.size, most=stop, remedy=_REWRITE
+            path, f"end of the head of {name}", start + VLR_HEAD.size, most=stop, remedy=REWRITE
         )
         _, user_id, record_id, length, description = VLR_HEAD.unpack(file.read(VLR_HEAD.size))
-        start += bounded(path, f"length of {name}", length, most=stop - start, remedy=_REWRITE)
+        start += bounded(path, f"length of {name}", length, most=stop - start, remedy=REWRITE)
         yield Vlr(user_id, record_id, description, file.read(length))
 
 
@@ -314,7 +301,7 @@ def _read_evlrs(path: Path, file: BinaryIO, raw: bytes, size: int) -> Iterator[E
             return
     else:
         start, count = struct.unpack_from("<QI", raw, 235)
-    bounded(path, "number of extended VLRs", count, most=_MAX_RECORDS, remedy=_REWRITE)
+    bounded(path, "number of extended VLRs", count, most=_MAX_RECORDS, remedy=REWRITE)
     for number in range(1, count + 1):
         name = f"extended VLR {number} of {count}"
         bounded(path, f"start of {name}", start, most=size - EVLR_HEAD.size)

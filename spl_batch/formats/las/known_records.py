@@ -3,7 +3,7 @@
 What is delivered must open everywhere; a damaged record may make a reader fail on a whole file.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
@@ -50,7 +50,6 @@ from spl_batch.formats.units import Units
 _PARSED_BYTES: Final = 1 << 20
 """Longest record that is parsed [byte]: known ones are short, longer ones are copied."""
 
-_WKT_BYTES_MAX: Final = 1 << 20
 _CRS_TEXT_MAX: Final = 150
 """Characters that are told of a CRS that is not understood [count]."""
 
@@ -83,13 +82,6 @@ def header_crs(header: LasHeader) -> tuple[CRS | None, tuple[str, ...]]:
     except CRSError as error:
         reason = brief(plain(" ".join(str(error).split())), _CRS_TEXT_MAX)
         return None, (f"the CRS record is not understood ({reason}): name the CRS in survey.crs",)
-
-
-def outvoted_records(header: LasHeader) -> Iterable[tuple[str, int]]:
-    """Records of the CRS that does not count, where two contradict each other."""
-    if _rivals(header) is None:
-        return ()
-    return (WKT_KEY, LIBLAS_KEY) if _keys_count(header) else GEO_KEYS
 
 
 def _keys_count(header: LasHeader) -> bool:
@@ -149,15 +141,9 @@ def _keys(header: LasHeader) -> tuple[bytes, ...]:
 
 
 def _wkt_crs(header: LasHeader) -> CRS | None:
-    vlr = header.vlr(*WKT_KEY)
-    if vlr is not None:
-        return crs_from_wkt(vlr.data)
-    evlr = next((e for e in header.evlrs if e.key == WKT_KEY), None)
-    if evlr is None:
-        return None
-    with open_input(header.path) as file:
-        file.seek(evlr.start)
-        return crs_from_wkt(file.read(min(evlr.size, _WKT_BYTES_MAX)))
+    records: tuple[Vlr | Evlr, ...] = (*header.vlrs, *header.evlrs)
+    found = next((record for record in records if record.key == WKT_KEY), None)
+    return None if found is None else crs_from_wkt(_content(header.path, found))
 
 
 def _liblas_crs(header: LasHeader) -> CRS | None:
@@ -189,12 +175,13 @@ def record_fault(path: Path, record: Vlr | Evlr) -> str | None:
         name, description = (
             text.split(b"\0")[0].decode() for text in (record.user_id, record.description)
         )
+        if isinstance(record, Evlr) and record.size > _PARSED_BYTES:
+            return None
         for kind in BaseKnownVLR.__subclasses__():
             ids = kind.official_record_ids()
             if kind.official_user_id() == name and record.record_id in ids:
                 content = _content(path, record)
-                if content is not None:
-                    kind.from_raw(laspy.VLR(name, record.record_id, description, content))
+                kind.from_raw(laspy.VLR(name, record.record_id, description, content))
     except BaseException as error:
         if not is_fault(error):
             raise
@@ -202,20 +189,20 @@ def record_fault(path: Path, record: Vlr | Evlr) -> str | None:
     return None
 
 
-def _content(path: Path, record: Vlr | Evlr) -> bytes | None:
-    """Content of a record; None of one that is too long to be parsed."""
+def _content(path: Path, record: Vlr | Evlr) -> bytes:
+    """Content of a record, of a long one its beginning."""
     if isinstance(record, Vlr):
         return record.data
-    if record.size > _PARSED_BYTES:
-        return None
-    with path.open("rb") as file:
+    with open_input(path) as file:
         file.seek(record.start)
-        return file.read(record.size)
+        return file.read(min(record.size, _PARSED_BYTES))
 
 
 def kept_records(header: LasHeader, crs: CRS | None) -> tuple[list[Vlr], list[Evlr], bool]:
     """Records and extended records that a copy keeps, and whether none but WKT gives a CRS."""
-    dropped = {LASZIP_KEY, EXTRA_BYTES_KEY, *outvoted_records(header)}
+    dropped = {LASZIP_KEY, EXTRA_BYTES_KEY}
+    if _rivals(header) is not None:  # what does not count goes
+        dropped.update((WKT_KEY, LIBLAS_KEY) if _keys_count(header) else GEO_KEYS)
     own = header_crs(header)[0]
     written = _delivered_crs(own, crs)
     if written is not own or _of_both(header) is not None:

@@ -11,10 +11,8 @@ Of each of the input's records one number is needed (:func:`given_of`), kept by 
 them once.
 """
 
-import io
 from typing import Any, Final
 
-import lazrs
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,7 +26,7 @@ from spl_batch.formats.las.chunks import (
     laszip_items,
 )
 from spl_batch.formats.las.convert import Conversion
-from spl_batch.formats.las.frame import laz_record
+from spl_batch.formats.las.frame import laz_record, packed_chunk
 from spl_batch.formats.las.records import RecordLayout, given_classes
 
 GIVEN: Final = "given"
@@ -111,19 +109,10 @@ class LayerCopy:
             From :meth:`records`, with the same for all points.
         """
         theirs = chunk_layers(packed, self._given_dtype.itemsize, self._given_layers)
-        ours = self._compressed(own)
+        ours = chunk_layers(packed_chunk(own, self._own_laz), own.dtype.itemsize, self._own_layers)
         layers = [theirs[k] for k in self._kept]
         for layer in self._changed:
             layers[layer] = ours[layer]
         layers += ours[self._own_layers - self._added_bytes :]
         sizes = np.array([len(own), *map(len, layers)], "<u4")
         return b"".join([first.tobytes(), sizes.tobytes(), *layers])
-
-    def _compressed(self, own: NDArray[Any]) -> list[bytes]:
-        """Layers of records in which only class, returns, flags and added bytes are set."""
-        content = io.BytesIO()
-        compressor = lazrs.LasZipCompressor(content, self._own_laz)
-        compressor.compress_many(own.view(np.uint8))
-        compressor.done()
-        place = 8  # the chunk follows the place of the table
-        return chunk_layers(content.getvalue()[place:], own.dtype.itemsize, self._own_layers)

@@ -22,12 +22,13 @@ from spl_batch.formats.las.known_records import header_crs
 from spl_batch.formats.las.layers import can_be_copied
 from spl_batch.formats.las.records import (
     FIRST_CLASS,
+    FIRST_EXTENDED_FORMAT,
+    SCAN_ANGLE_STEP_DEG,
     RecordLayout,
     added,
     dimension,
     given_classes,
     record_layout,
-    scan_angle_deg,
 )
 from spl_batch.formats.units import METRES, Units
 from spl_batch.lattice.tables import COLUMNS, EXCLUDED, SOURCE_COLUMNS, PointFlag, PointTable
@@ -87,39 +88,35 @@ def inspect(path: Path) -> LasFacts:
         With every fault of the file, each with its remedy.
     """
     with as_input_fault(path):
-        return _inspected(path)
+        header = read_header(path)
+        with RecordReader(header) as reader:
+            layout, layered = reader.layout, can_be_copied(reader)
+        empty = () if header.n_points else ("the file holds no points",)
+        crs, crs_warnings = header_crs(header)
+        return LasFacts(
+            path=path,
+            size_bytes=header.size_bytes,
+            n_points=header.n_points,
+            version=header.version,
+            point_format=header.point_format,
+            scales=header.scales,
+            offsets=header.offsets,
+            mins_m=header.mins_m if header.n_points else (0.0, 0.0, 0.0),
+            maxs_m=header.maxs_m if header.n_points else (0.0, 0.0, 0.0),
+            crs=crs,
+            adjusted_standard_bit=bool(header.global_encoding & ADJUSTED_BIT),
+            has_gps_time="gps_time" in layout.names,
+            dimensions=layout.names,
+            warnings=(*empty, *crs_warnings),
+            rounding=tuple(_rounding(header)),
+            layers_can_be_copied=layered,
+        )
 
 
 def is_delivered(path: Path) -> bool:
     """Whether a file is a copy with labels that a run has made: its extra bytes say so."""
     described = {one.descriptor for one in record_layout(read_header(path)).extra}
     return described >= {added(name).descriptor for name in (FIRST_CLASS, "noise_class")}
-
-
-def _inspected(path: Path) -> LasFacts:
-    header = read_header(path)
-    with RecordReader(header) as reader:
-        layout = reader.layout
-        layered = can_be_copied(reader)
-    crs, crs_warnings = header_crs(header)
-    return LasFacts(
-        path=path,
-        size_bytes=header.size_bytes,
-        n_points=header.n_points,
-        version=header.version,
-        point_format=header.point_format,
-        scales=header.scales,
-        offsets=header.offsets,
-        mins_m=header.mins_m if header.n_points else (0.0, 0.0, 0.0),
-        maxs_m=header.maxs_m if header.n_points else (0.0, 0.0, 0.0),
-        crs=crs,
-        adjusted_standard_bit=bool(header.global_encoding & ADJUSTED_BIT),
-        has_gps_time="gps_time" in layout.names,
-        dimensions=layout.names,
-        warnings=(*header.warnings, *crs_warnings),
-        rounding=tuple(_rounding(header)),
-        layers_can_be_copied=layered,
-    )
 
 
 def promised_points(path: Path) -> int:
@@ -299,11 +296,15 @@ def _attributes(records: NDArray[Any], layout: RecordLayout) -> dict[str, NDArra
     withheld = dimension(records, layout, "withheld") != 0
     noise = (classes == CLASS_LOW_NOISE) | (classes == CLASS_HIGH_NOISE)
     timed = "gps_time" in layout.names
+    if layout.point_format < FIRST_EXTENDED_FORMAT:
+        angle_deg = records["scan_angle_rank"]
+    else:
+        angle_deg = records["scan_angle"] * SCAN_ANGLE_STEP_DEG
     return {
         "gps_time": records["gps_time"] if timed else np.full(len(records), np.nan),
         "return_number": dimension(records, layout, "return_number"),
         "number_of_returns": dimension(records, layout, "number_of_returns"),
-        "scan_angle": scan_angle_deg(records, layout),
+        "scan_angle": angle_deg,
         "point_source_id": records["point_source_id"],
         "intensity": records["intensity"],
         "input_class": classes,

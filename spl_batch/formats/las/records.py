@@ -18,7 +18,7 @@ from spl_batch.constants import (
     NOISE_BACKGROUND,
 )
 from spl_batch.formats.declared import bounded
-from spl_batch.formats.las.header import LasHeader, standard_dtype
+from spl_batch.formats.las.header import MAX_LENGTH, REWRITE, LasHeader, standard_dtype
 
 EXTRA_BYTES_KEY: Final = ("LASF_Spec", 4)
 DESCRIPTOR_SIZE: Final = 192
@@ -42,8 +42,6 @@ FIRST_CLASS: Final = "input_classification"
 """Of these, what a copy keeps of an earlier output."""
 
 _TYPES: Final = ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8")
-_VLR_MAX: Final = 2**16 - 1
-_REWRITE: Final = "the header is damaged, rewrite the file with the software that made it"
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,27 +94,22 @@ def record_layout(header: LasHeader) -> RecordLayout:
     base = standard_dtype(header.point_format).itemsize
     room = header.record_size - base
     extra: list[ExtraDimension] = []
-    for raw in _descriptors(header):
+    vlr = header.vlr(*EXTRA_BYTES_KEY)
+    data = b"" if vlr is None else vlr.data
+    for start in range(0, len(data) - DESCRIPTOR_SIZE + 1, DESCRIPTOR_SIZE):
+        raw = data[start : start + DESCRIPTOR_SIZE]
         # Common readers misunderstand a block without a type, whose options are its size.
         block = raw[2] == 0
         extra += _plain(raw[3], len(extra)) if block else [_dimension(header, raw, len(extra))]
     held = sum(d.dtype.itemsize for d in extra)
     left = room - bounded(
-        header.path, "extra bytes that are described", held, most=room, remedy=_REWRITE
+        header.path, "extra bytes that are described", held, most=room, remedy=REWRITE
     )
     extra += _plain(left, len(extra))
     remedy = "the header is damaged, or the file needs converting"
-    most = _VLR_MAX // DESCRIPTOR_SIZE
+    most = MAX_LENGTH // DESCRIPTOR_SIZE
     bounded(header.path, "dimensions in the extra bytes", len(extra), most=most, remedy=remedy)
     return RecordLayout(header.point_format, tuple(extra))
-
-
-def _descriptors(header: LasHeader) -> list[bytes]:
-    """Descriptors of the extra bytes, each whole."""
-    vlr = header.vlr(*EXTRA_BYTES_KEY)
-    data = b"" if vlr is None else vlr.data
-    starts = range(0, len(data) - DESCRIPTOR_SIZE + 1, DESCRIPTOR_SIZE)
-    return [data[start : start + DESCRIPTOR_SIZE] for start in starts]
 
 
 def _plain(size: int, first: int) -> list[ExtraDimension]:
@@ -180,7 +173,7 @@ def _dimension(header: LasHeader, raw: bytes, number: int) -> ExtraDimension:
     described = ExtraBytesStruct.from_buffer_copy(raw)
     name = described.name.decode("utf-8", errors="replace")
     what = f"data type of extra dimension {name!r}"
-    bounded(header.path, what, described.data_type, most=3 * len(_TYPES), remedy=_REWRITE)
+    bounded(header.path, what, described.data_type, most=3 * len(_TYPES), remedy=REWRITE)
     scale, offset = (None if v is None else v[0] for v in (described.scale, described.offset))
     return ExtraDimension(name, f"extra_{number}", described.dtype(), scale, offset, raw)
 
@@ -217,12 +210,3 @@ def dimension(records: NDArray[Any], layout: RecordLayout, name: str) -> NDArray
     offset = 0.0 if extra.offset is None else extra.offset
     scaled: NDArray[Any] = values * scale + offset
     return scaled
-
-
-def scan_angle_deg(records: NDArray[Any], layout: RecordLayout) -> NDArray[np.float32]:
-    """Scan angle, positive to starboard [deg]: (n,) float32."""
-    if layout.point_format < FIRST_EXTENDED_FORMAT:
-        rank: NDArray[np.float32] = records["scan_angle_rank"].astype(np.float32)
-        return rank
-    angle: NDArray[np.float32] = (records["scan_angle"] * SCAN_ANGLE_STEP_DEG).astype(np.float32)
-    return angle

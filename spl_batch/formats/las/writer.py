@@ -363,11 +363,9 @@ def _place(records: NDArray[Any], table: PointTable, axis: int, unit_m: float, p
 
 
 def _fill(records: NDArray[Any], table: PointTable) -> None:
-    for name in ("intensity", "point_source_id", "gps_time"):
+    for name in ("intensity", "point_source_id", "gps_time", "channel"):
         if name in table:
-            records[name] = table[name]
-    if "channel" in table:
-        records["user_data"] = table["channel"]
+            records["user_data" if name == "channel" else name] = table[name]
     if "return_number" in table:
         records["bit_fields"] = table["return_number"] & np.uint8(15)
     if "number_of_returns" in table:

@@ -54,7 +54,6 @@ def write_cog(
     crs: str | None,
     description: str,
     unit: str = "",
-    nodata: float = NODATA,
 ) -> None:
     """Write a cloud-optimised GeoTIFF: tiled, deflated, with overviews; equal input, equal bytes.
 
@@ -95,7 +94,7 @@ def write_cog(
         known_crs = _with_codes(known_crs, whole, units)
     unit, unit_m = units.of_values(unit)
     if unit_m != 1.0:
-        pieces = ((row, col, _divided(block, unit_m, nodata)) for row, col, block in pieces)
+        pieces = ((row, col, _divided(block, unit_m)) for row, col, block in pieces)
     left, top, cell = (v / units.horizontal_m for v in (*origin_xy_m, cell_m))
     profile = {
         "driver": "GTiff",
@@ -103,7 +102,7 @@ def write_cog(
         "width": shape[1],
         "count": 1,
         "dtype": "float32",
-        "nodata": nodata,
+        "nodata": NODATA,
         "crs": known_crs,
         "transform": place or Affine(cell, 0.0, left, 0.0, -cell, top),
     }
@@ -159,9 +158,9 @@ def _datum_code(heights: CRS | None) -> int | None:
     return int(known.to_json_dict()["id"]["code"]) if known.type_name.endswith(kind) else None
 
 
-def _divided(block: NDArray[np.float32], unit_m: float, nodata: float) -> NDArray[np.float32]:
+def _divided(block: NDArray[np.float32], unit_m: float) -> NDArray[np.float32]:
     """Lengths in another unit; nodata stays."""
-    values = np.where(block == np.float32(nodata), nodata, block.astype(np.float64) / unit_m)
+    values = np.where(block == np.float32(NODATA), NODATA, block.astype(np.float64) / unit_m)
     return values.astype(np.float32)
 
 
@@ -253,13 +252,9 @@ def _copy_as_cog(plain: Path, cog: Path) -> None:
     )
 
 
-def _free_bytes(folder: Path) -> int:
-    return shutil.disk_usage(folder).free
-
-
 def _stopped(path: Path, shape: tuple[int, int], error: Exception) -> StoppedError:
     """GDAL tells a full disk only in prose, so the free space is looked at."""
     needed = 2 * 4 * shape[0] * shape[1]
-    if _free_bytes(path.parent) < needed:
+    if shutil.disk_usage(path.parent).free < needed:
         return StoppedError(f"{path}: disk full; free {needed // 10**6 + 1} MB and run again")
     return StoppedError(f"{path}: cannot be written: {' '.join(str(error).split())}")

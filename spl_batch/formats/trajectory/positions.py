@@ -7,7 +7,7 @@ in memory at once, however long they are.
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -31,7 +31,7 @@ from spl_batch.formats.gps_clock import TimeStandard, clock, time_standard
 from spl_batch.formats.heights import names_datum
 from spl_batch.formats.trajectory.records import COLUMNS, SBET_SUFFIXES, Records, read_records
 from spl_batch.formats.transformations import lacks
-from spl_batch.formats.units import METRES, Units, both
+from spl_batch.formats.units import Units, both
 from spl_batch.formats.verified.parquet_npz import ranges_of, read_groups, reading, writing
 from spl_batch.lattice.tables import Trajectory
 
@@ -68,29 +68,27 @@ class _Batch(NamedTuple):
     last_s: float
 
 
+@dataclass
 class Gathering:
     """Records of trajectory files in the order of time, some at a time; iterate once.
 
     Its attributes are complete at the end of the iteration.
     """
 
-    def __init__(
-        self,
-        paths: Sequence[Path],
-        disk: IO[bytes],
-        folder: Path | None,
-        points: PointExtent | None,
-    ) -> None:
-        self.records = 0  #: Records, each time counted once.
-        self.span_s = (np.inf, -np.inf)  #: First and last time [s].
-        self.warnings: list[str] = []  #: What had to be done to them; each is one sentence.
-        self.notes: list[str] = []  #: What was done to them that loses nothing.
-        self._paths, self._disk, self._folder, self._points = paths, disk, folder, points
-        self._units = METRES
-        self._batches: list[_Batch] = []
-        self._dropped = 0
-        self._nearest_m = np.inf
-        self._low, self._high = np.full(2, np.inf), np.full(2, -np.inf)
+    _paths: Sequence[Path]
+    _disk: IO[bytes]
+    _folder: Path | None
+    _points: PointExtent | None
+    _units: Units  # of the survey's CRS
+    records: int = 0  #: Records, each time counted once.
+    span_s: tuple[float, float] = (np.inf, -np.inf)  #: First and last time [s].
+    #: What had to be done to them, and what was done that loses nothing; each is one sentence.
+    warnings: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    _batches: list[_Batch] = field(default_factory=list)
+    _dropped: int = 0
+    _nearest_m: float = np.inf
+    _low, _high = np.full(2, np.inf), np.full(2, -np.inf)
 
     @property
     def standard(self) -> TimeStandard:
@@ -99,7 +97,6 @@ class Gathering:
 
     def read(self, survey_crs: CRS | None, trajectory_crs: str | None) -> None:
         """Read the files, and bring them into the points' time."""
-        self._units = Units.of(survey_crs)
         for file, path in enumerate(self._paths):
             convert = _conversion(path, survey_crs, trajectory_crs, self.warnings)
             for time, position in read_records(path, self.warnings.append):
@@ -258,7 +255,7 @@ def gathering(
     if not paths:
         raise InputError("survey.trajectory", "matches no file; check the path")
     with TemporaryFile(dir=folder) as disk:
-        found = Gathering(paths, disk, folder, points)
+        found = Gathering(paths, disk, folder, points, Units.of(survey_crs))
         found.read(survey_crs, trajectory_crs)
         yield found
 

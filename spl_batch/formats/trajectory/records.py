@@ -1,7 +1,6 @@
 """Records of trajectory files, some at a time: CSV, Parquet, SBET."""
 
 import csv
-import io
 import os
 import re
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -200,44 +199,40 @@ def _read_parquet(path: Path) -> Iterator[Records]:
 
 
 def _read_csv(path: Path, sieve: _Sieve) -> Iterator[Records]:
-    with open_input(path) as file:
-        head = csv_head(file)
-        columns_of(path, head[0])
-        _refuse_cut_record(path, file)
-        if file.tell() < path.stat().st_size:
-            yield from _csv_batches(path, file, head, sieve)
-
-
-def _csv_batches(
-    path: Path, file: BinaryIO, head: tuple[Sequence[str], str], sieve: _Sieve
-) -> Iterator[Records]:
-    """Records of a CSV from here on; NaN for what is no number, rows of other lengths are lost."""
-    given, delimiter = head
-    names = columns_of(path, given)
+    """Records of a CSV; NaN for what is no number, rows of other lengths are lost."""
 
     def strange(_row: object) -> str:
         sieve.lose()
         return "skip"
 
-    with (
-        as_input_fault(path, "is not a CSV trajectory"),
-        pyarrow.csv.open_csv(
-            file,
-            # Of the numbers any bytes are text then, which pyarrow decodes where it loses a row.
-            read_options=pyarrow.csv.ReadOptions(
-                column_names=given, use_threads=False, encoding="latin-1"
-            ),
-            parse_options=pyarrow.csv.ParseOptions(
-                delimiter=delimiter, invalid_row_handler=strange
-            ),
-            convert_options=pyarrow.csv.ConvertOptions(
-                include_columns=names, column_types=dict.fromkeys(names, pa.string())
-            ),
-        ) as reader,
-    ):
-        for batch in reader:
-            time, *position = (_numbers_of_text(batch.column(name)) for name in names)
-            yield time, np.column_stack(position)
+    with open_input(path) as file:
+        line = file.readline(65_536).decode("utf-8-sig", errors="replace")
+        delimiter = max(",;\t", key=line.count)
+        given = next(csv.reader([line.strip().lstrip("#")], delimiter=delimiter), [])
+        names = columns_of(path, given)
+        _refuse_cut_record(path, file)
+        if file.tell() == path.stat().st_size:
+            return
+        with (
+            as_input_fault(path, "is not a CSV trajectory"),
+            pyarrow.csv.open_csv(
+                file,
+                # Of the numbers any bytes are text then, which pyarrow decodes where it loses a
+                # row.
+                read_options=pyarrow.csv.ReadOptions(
+                    column_names=given, use_threads=False, encoding="latin-1"
+                ),
+                parse_options=pyarrow.csv.ParseOptions(
+                    delimiter=delimiter, invalid_row_handler=strange
+                ),
+                convert_options=pyarrow.csv.ConvertOptions(
+                    include_columns=names, column_types=dict.fromkeys(names, pa.string())
+                ),
+            ) as reader,
+        ):
+            for batch in reader:
+                time, *position = (_numbers_of_text(batch.column(name)) for name in names)
+                yield time, np.column_stack(position)
 
 
 def _refuse_cut_record(path: Path, file: BinaryIO) -> None:
@@ -254,14 +249,6 @@ def _refuse_cut_record(path: Path, file: BinaryIO) -> None:
             f"its last line ends without a line break and with fewer digits than the one before:"
             f" {last.strip()[-60:]!r}; it is cut off: copy it again, or end the line",
         )
-
-
-def csv_head(file: BinaryIO) -> tuple[list[str], str]:
-    """Columns that the first line of an open CSV names, and what parts them."""
-    line = file.readline(65_536).decode("utf-8-sig", errors="replace")
-    delimiter = max(",;\t", key=line.count)
-    rows = csv.reader(io.StringIO(line.strip().lstrip("#")), delimiter=delimiter)
-    return next(rows, []), delimiter
 
 
 def columns_of(path: Path, given: Sequence[str]) -> list[str]:

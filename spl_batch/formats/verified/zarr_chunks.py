@@ -6,7 +6,6 @@ a chunk that is gone, and its writing takes twice as long (8.5 against 4.2 ms fo
 100 cells; reading 1.1 against 1.6 ms). Zarr reads what is written here.
 """
 
-import hashlib
 import itertools
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,7 +18,7 @@ from numcodecs.zstd import Zstd
 from numpy.typing import DTypeLike, NDArray
 
 from spl_batch.errors import DamagedError
-from spl_batch.formats.files.atomic import read_bytes
+from spl_batch.formats.files.atomic import json_digest, read_bytes
 from spl_batch.lattice.tiles import shared_box
 
 METADATA: Final = "zarr.json"
@@ -77,7 +76,7 @@ def describe(
         "storage_transformers": [],
         "attributes": dict(attributes),
     }
-    metadata["attributes"][_DIGEST] = _digest(metadata)
+    metadata["attributes"][_DIGEST] = json_digest(metadata, finite=False)
     return json.dumps(metadata, indent=1, sort_keys=True).encode()
 
 
@@ -90,8 +89,7 @@ def pack(values: NDArray[Any], *, chunks: Sequence[int], attributes: Mapping[str
         shape=values.shape, chunks=chunks, dtype=values.dtype, fill_value=0, attributes=attributes
     )
     whole = tuple(slice(0, n) for n in values.shape)
-    pieces = _pieces([max(c, 1) for c in chunks], whole)
-    return {METADATA: content, **{p.name: _packed(values[p.of_box], p, 0) for p in pieces}}
+    return {METADATA: content, **encode(json.loads(content), whole, values)}
 
 
 def parse(content: bytes, path: Path) -> Metadata:
@@ -104,7 +102,7 @@ def parse(content: bytes, path: Path) -> Metadata:
     """
     try:
         metadata: Metadata = json.loads(content)
-        if metadata["attributes"].pop(_DIGEST) != _digest(metadata):
+        if metadata["attributes"].pop(_DIGEST) != json_digest(metadata, finite=False):
             raise DamagedError(path, "it does not fit its hash")
     except (*_FAULTS, AttributeError) as error:
         raise DamagedError(path, error) from error
@@ -151,8 +149,11 @@ def read_box(array: Path, metadata: Metadata, box: Sequence[slice]) -> NDArray[A
     )
     for piece in _pieces(_edges(metadata), box):
         try:
-            content = _unpacked(read_bytes(array / piece.name))
-            chunk = np.frombuffer(content, found.dtype).reshape(piece.shape)
+            content = read_bytes(array / piece.name)
+            packed = content[:-_CRC_BYTES]
+            if _crc(packed) != content[-_CRC_BYTES:]:
+                raise ValueError("it does not fit its checksum")
+            chunk = np.frombuffer(_ZSTD.decode(packed), found.dtype).reshape(piece.shape)
         except (*_FAULTS, OSError) as error:
             raise DamagedError(array / piece.name, error) from error
         found[piece.of_box] = chunk[piece.of_chunk]
@@ -194,20 +195,6 @@ def _packed(values: NDArray[Any], piece: _Piece, fill: float) -> bytes:
     return packed + _crc(packed)
 
 
-def _unpacked(content: bytes) -> bytes:
-    """Values of a chunk; raises one of :data:`_FAULTS` where it is damaged."""
-    packed = content[:-_CRC_BYTES]
-    if _crc(packed) != content[-_CRC_BYTES:]:
-        raise ValueError("it does not fit its checksum")
-    values: bytes = _ZSTD.decode(packed)
-    return values
-
-
 def _crc(packed: bytes) -> bytes:
     value: int = google_crc32c.value(packed)
     return value.to_bytes(_CRC_BYTES, "little")
-
-
-def _digest(metadata: Metadata) -> str:
-    text = json.dumps(metadata, sort_keys=True)
-    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()

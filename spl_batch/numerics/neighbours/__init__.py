@@ -1,1 +1,1 @@
-"""Nearest neighbours on the integer lattice: kd-tree, searches, columns."""
+"""Nearest neighbours on the integer lattice: kd-tree and searches."""

@@ -22,10 +22,7 @@ LEAF: Final = 32
 """Most points in a leaf [count]; a power of two."""
 
 CAP_MAX: Final = 46_340
-"""Farthest neighbour that a sort key can hold [quanta]: its square stays below 2**31."""
-
-ROW_MASK: Final = 0xFFFF_FFFF
-"""Low bits of a sort key: the row. The high ones are the squared distance."""
+"""Farthest neighbour that can be asked for [quanta]: its square stays below 2**31."""
 
 U0, U1, U2, U3, U4, U5 = (np.uint64(i) for i in range(6))
 
@@ -86,37 +83,6 @@ def box_distance(boxes, node, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def _scan(points, low, high, x, y, z, row, keys, distance, fresh):  # type: ignore[no-untyped-def]
-    """Merge one leaf into the sorted keys, the query's own row left out.
-
-    Distances, then those that may matter, then the sorting-in: two loops without a
-    branch before the one that has them.
-    """
-    size = high - low
-    xs, ys, zs, rows = points[0], points[1], points[2], points[3]
-    for i in range(size):
-        dx = np.float64(xs[low + i]) - x
-        dy = np.float64(ys[low + i]) - y
-        dz = np.float64(zs[low + i]) - z
-        distance[i] = dx * dx + dy * dy + dz * dz
-    last = np.uint64(len(keys)) - U1
-    limit = np.float64(keys[last] >> 32)
-    count = U0
-    for i in range(size):
-        fresh[count] = (np.int64(distance[i]) << 32) | np.int64(rows[low + i])
-        count += np.uint64(distance[i] <= limit)
-    for i in range(count):
-        key = fresh[i]
-        if key >= keys[last] or (key & ROW_MASK) == row:
-            continue
-        j = last
-        while j > U0 and keys[j - U1] > key:
-            keys[j] = keys[j - U1]
-            j -= U1
-        keys[j] = key
-
-
-@njit(inline="always")
 def leaf_slots(leaf, depth, n):  # type: ignore[no-untyped-def]
     """First slot of a leaf and of the next one, as unsigned numbers."""
     j = leaf - (U1 << depth)
@@ -130,68 +96,57 @@ def leaf_of(slot, depth, n):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def nearest_keys(points, boxes, depth, leaf, slot, cap, keys, distance, fresh, stack, bound):  # type: ignore[no-untyped-def]
-    """Nearest neighbours of one slot, from its own leaf upwards, nearer branches first.
-
-    Indices are unsigned throughout: a signed one costs numba a test for wrapping, and
-    the compiler its vector instructions.
+def nth_distance(points, boxes, depth, node, x, y, z, limit, wide, least, nearest, stack):  # type: ignore[no-untyped-def]
+    """Squared distance from a place to the n-th nearest point, infinite if there are fewer.
 
     Parameters
     ----------
     points, boxes, depth
         The tree; the depth as uint64.
-    leaf, slot : uint64
-        Node number of the slot's leaf, and the slot.
-    cap : int
-        Farthest neighbour, inclusive [quanta].
-    keys : (k,) int64
-        Receives squared distance << 32 | row, ascending.
-    distance, fresh : (LEAF,) float64, (LEAF,) int64
-        Scratch: a leaf's squared distances, and the keys that may be sorted in.
-    stack, bound : (64,) uint64, (64,) float64
-        Scratch: branches put off, and their squared distances.
-
-    Returns
-    -------
-    int
-        Neighbours found, at most k.
+    node : uint64
+        Where the search begins, to go on upwards: the place's leaf, or the root.
+    x, y, z : float
+        The place [quanta].
+    limit : float
+        Farthest squared distance, inclusive.
+    wide, least : (n,) float64, float
+        Points whose value, by slot, is below ``least`` do not count.
+    nearest : (n,) float64
+        Receives the squared distances, ascending.
+    stack : (64,) uint64
+        Scratch: branches put off.
     """
-    n = np.uint64(points.shape[1])
-    first = U1 << depth
-    x = np.float64(points[U0, slot])
-    y = np.float64(points[U1, slot])
-    z = np.float64(points[U2, slot])
-    row = points[U3, slot]
-    last = np.uint64(len(keys)) - U1
-    empty = (np.int64(cap) * np.int64(cap) + 1) << 32
-    keys[:] = empty
-    low, high = leaf_slots(leaf, depth, n)
-    _scan(points, low, high, x, y, z, row, keys, distance, fresh)
-    climb = leaf
-    while climb > U1:
-        stack[0] = climb ^ U1
-        bound[0] = box_distance(boxes, climb ^ U1, x, y, z)
-        climb >>= U1
+    n, first = np.uint64(points.shape[1]), U1 << depth
+    last = len(nearest) - 1
+    nearest[:] = np.inf
+    stack[0] = climb = node
+    while True:
         top = U1
         while top > U0:
             top -= U1
-            node, least = stack[top], bound[top]
-            while least <= np.float64(keys[last] >> 32):
-                if node >= first:
-                    low, high = leaf_slots(node, depth, n)
-                    _scan(points, low, high, x, y, z, row, keys, distance, fresh)
-                    break
-                left, right = node + node, node + node + U1
-                to_left = box_distance(boxes, left, x, y, z)
-                to_right = box_distance(boxes, right, x, y, z)
-                if to_right < to_left:
-                    stack[top], bound[top] = left, to_left
-                    node, least = right, to_right
-                else:
-                    stack[top], bound[top] = right, to_right
-                    node, least = left, to_left
-                top += U1
-    found = len(keys)
-    while found > 0 and keys[found - 1] >= empty:
-        found -= 1
-    return found
+            node = stack[top]
+            if box_distance(boxes, node, x, y, z) > min(limit, nearest[last]):
+                continue
+            if node < first:
+                near = node + node
+                near += np.uint64(
+                    box_distance(boxes, near + U1, x, y, z) < box_distance(boxes, near, x, y, z)
+                )
+                stack[top], stack[top + U1] = near ^ U1, near  # the nearer one is next
+                top += U1 + U1
+                continue
+            low, high = leaf_slots(node, depth, n)
+            for slot in range(low, high):
+                dx, dy, dz = points[U0, slot] - x, points[U1, slot] - y, points[U2, slot] - z
+                d2 = dx * dx + dy * dy + dz * dz
+                if d2 > limit or d2 >= nearest[last] or wide[slot] < least:
+                    continue
+                j = last
+                while j > 0 and nearest[j - 1] > d2:
+                    nearest[j] = nearest[j - 1]
+                    j -= 1
+                nearest[j] = d2
+        if climb <= U1:
+            return nearest[last]
+        stack[0] = climb ^ U1
+        climb >>= U1

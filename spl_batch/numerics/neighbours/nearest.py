@@ -10,10 +10,9 @@
 3. When many are found, the nearest are kept and the distance shrinks
    (:mod:`~spl_batch.numerics.neighbours.nearest_selection`).
 
-:func:`~spl_batch.numerics.neighbours.kdtree.nearest_keys` sorts each neighbour in as it is met,
-which is
-quicker for a few. Here nothing is sorted: distances and
-counts are loops without a branch, which the compiler turns into vector instructions.
+:func:`~spl_batch.numerics.neighbours.kdtree.nth_distance` sorts each distance in as it is met, for
+one place. Here nothing is sorted: distances and counts are loops without a branch, which the
+compiler turns into vector instructions.
 
 Squared distances are sums of squared integer differences in float64: exact below
 2**53 quanta2, that is up to 50 km. Ties are broken by row, so a query's neighbours depend

@@ -18,34 +18,6 @@ def cross(ax, ay, az, bx, by, bz):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def restricted(axx, axy, axz, ayy, ayz, azz, ux, uy, uz, vx, vy, vz, value):  # type: ignore[no-untyped-def]
-    """A matrix less ``value`` within the plane of two unit vectors: its three elements."""
-    aux = axx * ux + axy * uy + axz * uz
-    auy = axy * ux + ayy * uy + ayz * uz
-    auz = axz * ux + ayz * uy + azz * uz
-    avx = axx * vx + axy * vy + axz * vz
-    avy = axy * vx + ayy * vy + ayz * vz
-    avz = axz * vx + ayz * vy + azz * vz
-    m00 = ux * aux + uy * auy + uz * auz - value
-    m01 = ux * avx + uy * avy + uz * avz
-    m11 = vx * avx + vy * avy + vz * avz - value
-    return m00, m01, m11
-
-
-@njit()
-def _complement(wx, wy, wz):  # type: ignore[no-untyped-def]
-    """Two unit vectors that complete the unit vector w to a basis."""
-    if abs(wx) > abs(wy):
-        scale = 1.0 / math.sqrt(wx * wx + wz * wz)
-        ux, uy, uz = -wz * scale, 0.0, wx * scale
-    else:
-        scale = 1.0 / math.sqrt(wy * wy + wz * wz)
-        ux, uy, uz = 0.0, wz * scale, -wy * scale
-    vx, vy, vz = cross(wx, wy, wz, ux, uy, uz)
-    return ux, uy, uz, vx, vy, vz
-
-
-@njit()
 def _isolated(axx, axy, axz, ayy, ayz, azz, value):  # type: ignore[no-untyped-def]
     """Eigenvector of an isolated eigenvalue: the longest cross product of two rows of A - value."""
     xx, yy, zz = axx - value, ayy - value, azz - value
@@ -67,11 +39,25 @@ def _isolated(axx, axy, axz, ayy, ayz, azz, value):  # type: ignore[no-untyped-d
 
 @njit()
 def _within_plane(axx, axy, axz, ayy, ayz, azz, wx, wy, wz, value):  # type: ignore[no-untyped-def]
-    """Eigenvector of ``value`` within the plane at right angles to w."""
-    ux, uy, uz, vx, vy, vz = _complement(wx, wy, wz)
-    m00, m01, m11 = restricted(
-        axx, axy, axz, ayy, ayz, azz, ux, uy, uz, vx, vy, vz, value
-    )  # fmt: skip
+    """Eigenvector of ``value`` within the plane at right angles to the unit vector w."""
+    # Two unit vectors, u and v, that complete w to a basis.
+    if abs(wx) > abs(wy):
+        scale = 1.0 / math.sqrt(wx * wx + wz * wz)
+        ux, uy, uz = -wz * scale, 0.0, wx * scale
+    else:
+        scale = 1.0 / math.sqrt(wy * wy + wz * wz)
+        ux, uy, uz = 0.0, wz * scale, -wy * scale
+    vx, vy, vz = cross(wx, wy, wz, ux, uy, uz)
+    # The matrix less the value within their plane.
+    aux = axx * ux + axy * uy + axz * uz
+    auy = axy * ux + ayy * uy + ayz * uz
+    auz = axz * ux + ayz * uy + azz * uz
+    avx = axx * vx + axy * vy + axz * vz
+    avy = axy * vx + ayy * vy + ayz * vz
+    avz = axz * vx + ayz * vy + azz * vz
+    m00 = ux * aux + uy * auy + uz * auz - value
+    m01 = ux * avx + uy * avy + uz * avz
+    m11 = vx * avx + vy * avy + vz * avz - value
     if abs(m00) >= abs(m11):
         p, q = m01, -m00
     else:

@@ -20,35 +20,6 @@ of the wide one tells no slope."""
 
 
 @njit()
-def plane_of_moments(
-    mu: float, mv: float, mw: float, uu: float, uv: float, vv: float, uw: float, vw: float,
-    flattest: float, plane: NDArray[np.float64],
-) -> bool:  # fmt: skip
-    """Least squares plane w = a + b u + c v of means and centred second moments.
-
-    Parameters
-    ----------
-    flattest : float
-        Least determinant over the squared trace of the (u, v) moments: below it the points
-        lie on a line.
-    plane : (3,) float64
-        Filled with a, b, c.
-
-    Returns
-    -------
-    bool
-        False where there is no plane.
-    """
-    determinant = uu * vv - uv * uv
-    if determinant <= flattest * (uu + vv) ** 2:
-        return False
-    plane[1] = (uw * vv - vw * uv) / determinant
-    plane[2] = (vw * uu - uw * uv) / determinant
-    plane[0] = mw - plane[1] * mu - plane[2] * mv
-    return True
-
-
-@njit()
 def residual(
     plane: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.float64],
     w: NDArray[np.float64],

@@ -73,32 +73,17 @@ def along_curve(mesh: Mesh, chosen: NDArray[np.intp]) -> NDArray[np.intp]:
 
     ``chosen``: (n,) intp, vertices.
     """
-    key = np.empty(len(chosen), np.uint64)
-    _morton(mesh.x, mesh.y, chosen, key)
+    key = _spread_bits(mesh.x[chosen]) | _spread_bits(mesh.y[chosen]) << np.uint64(1)
     return chosen[np.argsort(key, kind="stable")]
 
 
-@njit()
-def _spread_bits(value: np.int64) -> np.uint64:
-    """Bits of a number below 2**32 at the even places."""
-    v = np.uint64(value)
-    v = (v | (v << np.uint64(16))) & np.uint64(0x0000FFFF0000FFFF)
-    v = (v | (v << np.uint64(8))) & np.uint64(0x00FF00FF00FF00FF)
-    v = (v | (v << np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
-    v = (v | (v << np.uint64(2))) & np.uint64(0x3333333333333333)
-    return (v | (v << np.uint64(1))) & np.uint64(0x5555555555555555)
-
-
-@njit()
-def _morton(
-    x: NDArray[np.int64],
-    y: NDArray[np.int64],
-    chosen: NDArray[np.intp],
-    key: NDArray[np.uint64],
-) -> None:
-    for i in range(len(chosen)):
-        at = chosen[i]
-        key[i] = _spread_bits(x[at]) | (_spread_bits(y[at]) << np.uint64(1))
+def _spread_bits(values: NDArray[np.int64]) -> NDArray[np.uint64]:
+    """Bits of numbers below 2**32 at the even places: (n,) uint64."""
+    v = values.astype(np.uint64)
+    for shift in (16, 8, 4, 2, 1):
+        v |= v << np.uint64(shift)
+        v &= np.uint64((2**64 - 1) // (2**shift + 1))
+    return v
 
 
 def insert(mesh: Mesh, chosen: NDArray[np.intp]) -> None:

@@ -90,12 +90,6 @@ def facet_planes(
         out[t, 2] = xyz[i, 2]
 
 
-@njit()
-def _side(ax: float, ay: float, bx: float, by: float, px: float, py: float) -> float:
-    """Twice the signed area of a, b, p: positive where p is to the left of a -> b."""
-    return (bx - ax) * (py - ay) - (by - ay) * (px - ax)
-
-
 @njit(inline="always")
 def _weights(
     xyz: NDArray[np.float64], facets: NDArray[np.int32], t: int, px: float, py: float
@@ -306,7 +300,8 @@ def _add_slopes(
     """Weights, and slopes times weights, of the triangles around each vertex."""
     for t in range(len(facets)):
         a, b, c = facets[t]
-        area = _side(xyz[a, 0], xyz[a, 1], xyz[b, 0], xyz[b, 1], xyz[c, 0], xyz[c, 1])
+        area = (xyz[b, 0] - xyz[a, 0]) * (xyz[c, 1] - xyz[a, 1])
+        area -= (xyz[b, 1] - xyz[a, 1]) * (xyz[c, 0] - xyz[a, 0])
         longest2 = 0.0
         for one, other in ((a, b), (b, c), (c, a)):
             east, north = xyz[one, 0] - xyz[other, 0], xyz[one, 1] - xyz[other, 1]

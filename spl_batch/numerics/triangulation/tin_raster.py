@@ -9,9 +9,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.neighbours.place_grid import PlaceGrid
 from spl_batch.numerics.triangulation.delaunay import triangles
 
 RIM = 1.5
@@ -125,8 +125,8 @@ def tin_raster(
     if not len(asked):
         return out
     centres = (asked[:, ::-1] + 0.5) * size
-    distance, found = cKDTree(vertices[:, :2]).query(centres)
-    nearest = np.asarray(found, dtype=np.intp)
+    nearest = PlaceGrid.of(vertices).nearest(centres)[:, 0]
+    distance = np.sqrt(((vertices[nearest, :2] - centres) ** 2).sum(axis=1))
     r, c = asked[:, 0], asked[:, 1]
     lent = np.isnan(out[r, c]) & (distance <= RIM * size)
     out[r[lent], c[lent]] = vertices[nearest[lent], 2]

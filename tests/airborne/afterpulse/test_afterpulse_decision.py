@@ -12,8 +12,8 @@ from spl_batch.airborne.afterpulse.weighted_counts import UNIT, weigh_around
 from spl_batch.airborne.beams.shot_runs import beamlets_of
 from spl_batch.airborne.settings import AfterpulseSettings
 from spl_batch.airborne.steps import STEPS
+from spl_batch.lattice.lattice_columns import columns
 from spl_batch.lattice.tables import PointFlag, PointTable, canonical_order
-from spl_batch.numerics.neighbours.lattice_columns import columns
 from tests.airborne.filter.test_denoise import as_table
 
 DEFAULT = AfterpulseSettings()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse import foliage
 from spl_batch.airborne.afterpulse.weighted_counts import UNIT, weigh_around
-from spl_batch.numerics.neighbours.lattice_columns import columns
+from spl_batch.lattice.lattice_columns import columns
 
 KERNELS = len(foliage.KERNELS_M)
 VOLUME_M3 = [8 / 35 * 4 / 3 * math.pi * across**2 * up for across, up in foliage.KERNELS_M]

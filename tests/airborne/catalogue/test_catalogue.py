@@ -22,6 +22,7 @@ from referencing import Registry, Resource
 from referencing.jsonschema import DRAFT7
 
 from spl_batch.airborne.catalogue.catalogues import Layer, write_catalogues, write_layers
+from spl_batch.airborne.settings import SurveySettings
 from spl_batch.formats.crs import in_unit, same_crs
 from spl_batch.formats.units import FOOT, METRE, US_FOOT, Units
 from tests import surveys
@@ -331,7 +332,8 @@ def test_what_has_no_place_on_earth_is_not_listed(
     line = {key: values[:shots] for key, values in surveys.flightline(shots=5).items()}
     surveys.write_cloud(tmp_path / "a.laz", line, crs=None)
     known = None if crs is None else CRS.from_user_input(crs)
-    written, remarks = write_catalogues(tmp_path, "name", known, nothing_but("a.laz"))
+    survey = SurveySettings(flightlines="a.laz")
+    written, remarks = write_catalogues(tmp_path, survey, known, nothing_but("a.laz"), {})
     assert len(remarks) == 1
     assert remarks[0].startswith(reason)
     assert ("survey.crs" in remarks[0]) is (crs is None)

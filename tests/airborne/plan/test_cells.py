@@ -57,7 +57,7 @@ def test_cells_own_each_tile_and_read_their_margin(
     squares = {c for t in counts for c in cells_touching(cell_bounds(t, EDGE), edge)}
     assert squares <= {square for unit in units for square in grid.squares(unit.cell)}
     assert not any(overlap(a.core, b.core) for a, b in itertools.combinations(units, 2))
-    found = {unit.name: unit for unit in units}
+    found = {str(unit.cell): unit for unit in units}
     assert sorted(found) == grid.owners(counts, EDGE)
     for name, unit in found.items():
         i, j = unit.cell

@@ -19,7 +19,14 @@ from spl_batch.airborne.plan.flightlines import (
 )
 from spl_batch.airborne.plan.task_memory import UNEVEN
 from spl_batch.airborne.settings.workflow import Workflow, parse_workflow
-from spl_batch.airborne.tasks.file_tally import BINS_PER_S, Rate, merge_spans, most_points
+from spl_batch.airborne.tasks.file_tally import (
+    BINS_PER_S,
+    fullest,
+    merge_spans,
+    most_points,
+    rate_of,
+    sum_of_bins,
+)
 from spl_batch.engine.plan.input_files import source_key
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs import planning
@@ -139,18 +146,14 @@ def test_no_span_of_time_holds_more_than_its_rate_says(
 ) -> None:
     rng = np.random.default_rng(seed)
     time = np.concatenate([start + rng.random(n) for start, n in bursts])
-    rate = Rate()
-    for part in np.array_split(time, 3):
-        rate.add(np.sort(part))
-    fullest = rate.fullest()
-    assert fullest == sorted(fullest)
-    assert fullest[-1] == len(time)
+    most = fullest(sum_of_bins([rate_of(np.sort(part)) for part in np.array_split(time, 3)]))
+    assert most == sorted(most)
+    assert most[-1] == len(time)
     ordered = np.sort(time)
     held = np.searchsorted(ordered, ordered + span_s, side="right") - np.arange(len(time))
-    assert held.max() <= most_points(fullest, span_s) <= len(time)
-    even = Rate()
-    even.add(np.arange(100_000) / 1000)
-    assert most_points(even.fullest(), min(span_s, 60.0)) < 2100 * (min(span_s, 60.0) + 0.1)
+    assert held.max() <= most_points(most, span_s) <= len(time)
+    even = fullest(rate_of(np.arange(100_000) / 1000))
+    assert most_points(even, min(span_s, 60.0)) < 2100 * (min(span_s, 60.0) + 0.1)
 
 
 @settings(deadline=None, max_examples=60)
@@ -165,31 +168,22 @@ def test_no_span_of_several_files_holds_more_than_they_say(
 ) -> None:
     rng = np.random.default_rng(0)
     times = [np.sort(start + length * rng.random(n)) for start, length, n in files]
-    listed = []
-    for time in times:
-        rate = Rate()
-        rate.add(time)
-        listed.append((float(time[0]), float(time[-1]), rate.fullest()))
+    listed = [(float(time[0]), float(time[-1]), fullest(rate_of(time))) for time in times]
     every = np.sort(np.concatenate(times))
     held = np.searchsorted(every, every + span_s, side="right") - np.arange(len(every))
     assert held.max() <= fullest_span(listed, span_s)
 
 
 def test_times_that_are_none_do_no_harm_to_the_rest() -> None:
-    rate = Rate()
-    rate.add(np.array([-1e300, 5.0, 5.001, 1e18, 1e300]))
-    fullest = rate.fullest()
-    assert (fullest[0], fullest[-1]) == (2, 5)
-    assert most_points(fullest, 10.0) == 2
-    assert most_points(fullest, 1e17) == 5
+    most = fullest(rate_of(np.array([-1e300, 5.0, 5.001, 1e18, 1e300])))
+    assert (most[0], most[-1]) == (2, 5)
+    assert most_points(most, 10.0) == 2
+    assert most_points(most, 1e17) == 5
 
 
 def test_files_that_follow_each_other_do_not_add_up() -> None:
-    listed = []
-    for first in (0.0, 20.0, 40.0):
-        rate = Rate()
-        rate.add(first + np.arange(20_000) / 1000)
-        listed.append((first, first + 20.0, rate.fullest()))
+    rates = {first: rate_of(first + np.arange(20_000) / 1000) for first in (0.0, 20.0, 40.0)}
+    listed = [(first, first + 20.0, fullest(rate)) for first, rate in rates.items()]
     assert 4000 <= fullest_span(listed, 4.0) <= 6000
     assert 8000 <= fullest_span([*listed, *listed], 4.0) <= 12_000
 
@@ -203,11 +197,9 @@ def test_stretches_are_shorter_where_returns_come_in_bursts(
     parts = [land[land < 345.0], land[land >= 345.0]]
     receipts = {}
     for name, time in zip("ab", parts, strict=True):
-        rate = Rate()
-        rate.add(time)
         spans = {1: [[float(time[0]), float(time[-1]), float(len(time))]]}
         receipts[name] = indexed(name, spans, 10_000.0)
-        receipts[name].facts["fullest"]["1"] = rate.fullest()  # type: ignore[index]
+        receipts[name].facts["fullest"]["1"] = fullest(rate_of(time))  # type: ignore[index]
     wanted = 40_000
     monkeypatch.setattr(flightlines, "STRETCH_POINTS", wanted)
     (line,) = find_flightlines(receipts, DEFAULTS)
@@ -243,9 +235,9 @@ def _counted(points: int) -> dict[str, Any]:
 @given(st.lists(st.tuples(st.integers(0, 500), st.integers(0, 20)), max_size=20), st.randoms())
 def test_spans_join_in_any_order(spans: list[tuple[int, int]], random: Any) -> None:
     listed = [[float(a), float(a + n), 1] for a, n in spans]
-    joined = merge_spans([list(s) for s in listed], 5.0)
+    joined = merge_spans(np.array(listed).reshape(-1, 3), 5.0)
     random.shuffle(listed)
-    assert merge_spans(listed, 5.0) == joined
+    assert merge_spans(np.array(listed).reshape(-1, 3), 5.0) == joined
     assert sum(s[2] for s in joined) == len(spans)
     assert all(b[0] - a[1] > 5.0 for a, b in itertools.pairwise(joined))
 

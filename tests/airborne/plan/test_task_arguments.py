@@ -9,7 +9,7 @@ import shapely
 from pyproj import CRS
 
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.plan import client_tasks, space_tasks
+from spl_batch.airborne.plan import delivery_tasks
 from spl_batch.airborne.plan.inputs.survey_inputs import gather_inputs
 from spl_batch.airborne.products.product_table import (
     NAMES,
@@ -59,12 +59,12 @@ def test_a_task_reads_as_far_as_its_plan_says(
 
 def mosaics(monkeypatch: pytest.MonkeyPatch, *, reflectance: bool) -> dict[str, dict[str, Any]]:
     """Arguments of the mosaics of a survey."""
-    monkeypatch.setattr(space_tasks, "mosaic_bounds", lambda _: CORE)
-    monkeypatch.setattr(space_tasks, "knows_reflectance", lambda _: reflectance)
+    monkeypatch.setattr(delivery_tasks, "mosaic_bounds", lambda _: CORE)
+    monkeypatch.setattr(delivery_tasks, "knows_reflectance", lambda _: reflectance)
     workflow = SimpleNamespace(products=SimpleNamespace(cell_m=1.0))
     grid = SimpleNamespace(squares=lambda cell: [cell])
     survey: Any = SimpleNamespace(of=lambda _: ["0_0"], workflow=workflow, grid=grid)
-    return {task.name: dict(task.args) for task in space_tasks.mosaic(survey)}
+    return {task.name: dict(task.args) for task in delivery_tasks.mosaic(survey)}
 
 
 @pytest.mark.parametrize("reflectance", [False, True])
@@ -86,7 +86,7 @@ def test_another_grid_of_the_same_name_makes_heights_above_it_again(tmp_path: Pa
     def planned() -> list[dict[str, Any]]:
         inputs = gather_inputs(workflow, tmp_path, tmp_path / "out")
         survey: Any = SimpleNamespace(workflow=workflow, inputs=inputs, of=lambda _: ["dsm", "dtm"])
-        return [dict(task.args) for task in space_tasks.geoid(survey)]
+        return [dict(task.args) for task in delivery_tasks.deliver_geoid(survey)]
 
     before = planned()
     assert len(before) == 2
@@ -113,9 +113,9 @@ def test_a_clients_tiles_are_cut_out_of_rasters_in_one_unit(
         seen.append(kinds)
         return [], []
 
-    monkeypatch.setattr(client_tasks, "delivered_rasters", delivered_rasters)
-    monkeypatch.setattr(client_tasks, "aligned", lambda _: ())
-    monkeypatch.setattr(client_tasks, "mosaic_bounds", lambda _: CORE)
+    monkeypatch.setattr(delivery_tasks, "delivered_rasters", delivered_rasters)
+    monkeypatch.setattr(delivery_tasks, "aligned", lambda _: ())
+    monkeypatch.setattr(delivery_tasks, "mosaic_bounds", lambda _: CORE)
     settings = OutputSettings(client_tiles={"polygons": "a.gpkg"}, **outputs)
     inputs = SimpleNamespace(
         crs=CRS("EPSG:32615+5703"), areas=[SimpleNamespace(name="A", shape=shapely.box(0, 0, 9, 9))]
@@ -124,7 +124,7 @@ def test_a_clients_tiles_are_cut_out_of_rasters_in_one_unit(
         of=lambda _: {}, workflow=SimpleNamespace(outputs=settings), inputs=inputs,
         tile_q=100_000, counts={}, memory_bytes=0,
     )  # fmt: skip
-    (task,) = client_tasks.client_tiles(survey)
+    (task,) = delivery_tasks.deliver_client_tile(survey)
     assert seen == [kinds]
     assert task.args["in_another_unit"] == ("units" in outputs)
 

@@ -12,7 +12,6 @@ from spl_batch.airborne.store.label_tables import (
     GROUP_ROWS,
     Origin,
     label_files,
-    read_labelled_tile,
     read_region,
     units_within,
     write_labels,
@@ -70,7 +69,7 @@ def test_labels_of_other_units_come_back_to_each_point(
     holders = [("ground", str(u)) for u in units]
     seen = 0
     for tile in tiles:
-        back = read_labelled_tile(store, tile, CANONICAL_ORDER, {"ground": holders})
+        back, _ = read_region(store, [tile], None, CANONICAL_ORDER, {"ground": holders})
         assert np.array_equal(back["ground"], back["index"] % 7)
         seen += len(back)
     assert seen == n
@@ -115,7 +114,7 @@ def test_points_without_labels_say_so(tmp_path: Path) -> None:
     table = scene(50, 1)
     tile = write_tiles(store, table)[0]
     names = ("noise_class", "p_value", "classification", "ground")
-    back = read_labelled_tile(store, tile, ("x",), dict.fromkeys(names, ()))
+    back, _ = read_region(store, [tile], None, ("x",), dict.fromkeys(names, ()))
     assert np.all(back["noise_class"] == 255)
     assert np.all(back["classification"] == 255)
     assert np.all(back["ground"] == 0)

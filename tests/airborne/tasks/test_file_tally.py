@@ -7,7 +7,7 @@ import pytest
 
 from spl_batch.airborne.plan.flightlines import find_flightlines, is_timeless
 from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.airborne.tasks.file_tally import SPANS_FEW, Tally
+from spl_batch.airborne.tasks.file_tally import SPANS_FEW, facts_of, merge, observe, spans_of
 from spl_batch.airborne.tasks.index import _without_time
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.formats.las.reader import iter_points
@@ -16,6 +16,9 @@ from tests import surveys
 
 APART_S = 3600.0
 """Between the spans of these files [s]."""
+
+GAP_S = 60.0
+"""A pause that ends a span [s]."""
 
 WORKFLOW = Workflow.model_validate({"survey": {"flightlines": ["a.laz"]}, "output": "out"})
 
@@ -34,9 +37,8 @@ def indexed(points: PointTable, sizes: list[int]) -> Receipt:
     assert len(points) >= sum(sizes)
     table = points.take(slice(0, sum(sizes)))
     apart_s = APART_S * np.repeat(np.arange(len(sizes)), sizes)
-    tally = Tally(60.0)
-    tally.add(table.with_columns(gps_time=table["gps_time"] + apart_s))
-    facts = {"name": "a.laz", **tally.facts()}
+    counted = observe(table.with_columns(gps_time=table["gps_time"] + apart_s), GAP_S)
+    facts = {"name": "a.laz", **facts_of(merge([counted]), GAP_S)}
     return Receipt("index_file", "1", "", "", "", {}, facts, sum(sizes), 0.0, 0.0)
 
 
@@ -50,10 +52,10 @@ def told(receipt: Receipt) -> Any:
 
 @pytest.mark.parametrize("unset", [20, 200])
 def test_points_at_time_zero_have_none(points: PointTable, unset: int) -> None:
-    tally, time = Tally(60.0), points["gps_time"].copy()
+    time = points["gps_time"].copy()
     time[:unset] = 0.0
-    tally.add(points.with_columns(gps_time=time))
-    facts = {"name": "a.laz", **tally.facts()}
+    counted = observe(points.with_columns(gps_time=time), GAP_S)
+    facts = {"name": "a.laz", **facts_of(counted, GAP_S)}
     receipt = Receipt("index_file", "1", "", "", "", {}, facts, len(points), 0.0, 0.0)
     assert flown(receipt) == 1
     assert facts["timeless"] == unset
@@ -89,10 +91,11 @@ def test_scattered_times_are_not_kept(points: PointTable, among: int) -> None:
     table = table.with_columns(
         point_source_id=np.minimum(np.arange(len(table), dtype=np.uint16), 1500)
     )
-    tally = Tally(60.0)
-    tally.add(table)
-    assert tally.facts()["timeless"] == 1500
-    assert len(tally.facts()["spans"]) == len(tally.tracks) == bool(among)
+    counted = observe(table, GAP_S)
+    facts = facts_of(counted, GAP_S)
+    assert facts["timeless"] == 1500
+    assert len(facts["spans"]) == len(spans_of(counted)) == bool(among)
+    assert sum(array.nbytes for array in counted.values()) < 100_000
 
 
 @pytest.mark.parametrize("sizes", [[150] * 150, [1] * SPANS_FEW, [500] * 30 + [4] * 70])

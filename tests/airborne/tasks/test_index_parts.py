@@ -10,7 +10,7 @@ import pytest
 
 from spl_batch import api
 from spl_batch.airborne.tasks import index
-from spl_batch.airborne.tasks.file_tally import Tally, spans_of
+from spl_batch.airborne.tasks.file_tally import facts_of, merge, observe, spans_of
 from spl_batch.engine.watch.events import Event, PhaseStarted, TaskEnded
 from spl_batch.errors import InputError
 from spl_batch.formats.las.reader import iter_points
@@ -38,10 +38,10 @@ def done(told: list[Event], kind: str) -> list[str]:
 
 
 def facts(output: Path) -> dict[str, Mapping[str, Any]]:
-    """What is known of each file, but for its place and its parts."""
+    """What is known of each file, but for its parts."""
     found = (output / "store/receipts/index_file").rglob("*.json")
     read = {p.stem: json.loads(p.read_text())["facts"] for p in found}
-    left_out = {"path", "parts"}
+    left_out = {"parts"}
     return {name: {k: v for k, v in f.items() if k not in left_out} for name, f in read.items()}
 
 
@@ -185,20 +185,14 @@ def test_tallies_of_parts_add_up(tmp_path: Path) -> None:
     order = np.random.default_rng(3).permutation(len(cloud["x"]))
     path = surveys.write_cloud(tmp_path / "a.laz", surveys.take(cloud, order))
     tables = list(iter_points(path, channel_dimension="channel", source=1, chunk=333))
-    whole = Tally(1.0)
-    for table in tables:
-        whole.add(table)
-    joined = Tally(1.0)
-    for some in (tables[:2], tables[2:3], tables[3:]):
-        part = Tally(1.0)
-        for table in some:
-            part.add(table)
-        joined.join(part.to_arrays())
-    assert joined.facts() == whole.facts()
-    assert sum(array.nbytes for array in whole.to_arrays().values()) < 100_000, "one for each part"
-    assert whole.facts()["points"] == len(cloud["x"])
-    assert len(whole.facts()["spans"]) == 2
-    assert joined.standard == whole.standard
-    assert spans_of(joined.to_arrays()) == spans_of(whole.to_arrays())
-    for psid, track in whole.tracks.items():
-        assert all(np.array_equal(joined.tracks[psid][k], v) for k, v in track.items())
+    counted = [observe(table, 1.0) for table in tables]
+    whole = merge(counted)
+    joined = merge(merge(some) for some in (counted[:2], counted[2:3], counted[3:], []))
+    facts = facts_of(whole, 1.0)
+    assert facts_of(joined, 1.0) == facts
+    assert sum(array.nbytes for array in whole.values()) < 100_000, "one for each part"
+    assert facts["points"] == len(cloud["x"])
+    assert len(facts["spans"]) == 2
+    assert spans_of(joined) == spans_of(whole)
+    assert joined.keys() == whole.keys()
+    assert all(np.array_equal(joined[name], values) for name, values in whole.items())

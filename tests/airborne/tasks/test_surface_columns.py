@@ -8,8 +8,7 @@ import pytest
 from spl_batch.airborne.products import surface_rasters
 from spl_batch.airborne.products.reflectance import reflectance
 from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.airborne.tasks.surfaces import _at_once
-from spl_batch.lattice.tiles import Bounds
+from spl_batch.airborne.tasks.surfaces import _columns
 
 
 @pytest.mark.parametrize(
@@ -24,9 +23,6 @@ def test_columns_at_hand_are_those_of_every_look(
 ) -> None:
     workflow = Workflow.model_validate({"survey": {"flightlines": "a.laz"}, "output": "out"})
     cell: Any = SimpleNamespace(
-        context=SimpleNamespace(workflow=workflow),
-        args={"halo": 1000, "fired": fired},
-        core=Bounds(0, 0, 1000, 1000),
+        context=SimpleNamespace(workflow=workflow), args={"halo": 1000, "fired": fired}
     )
-    _, columns = _at_once(cell)
-    assert {*surface_rasters.COLUMNS_NEEDED, *needed} <= {*columns}
+    assert {*surface_rasters.COLUMNS_NEEDED, *needed} <= {*_columns(cell)}

@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 from spl_batch.airborne.filter.ellipsoid.ellipsoid_shape import flag
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.kdtree import (
-    LEAF,
     U0,
     U1,
     U2,
@@ -35,10 +34,9 @@ from spl_batch.numerics.neighbours.kdtree import (
     U4,
     U5,
     KdTree,
-    box_distance,
     leaf_of,
     leaf_slots,
-    nearest_keys,
+    nth_distance,
 )
 
 
@@ -51,24 +49,23 @@ class Spacing(NamedTuple):
 
 @njit()
 def spacing_scratch(rule):  # type: ignore[no-untyped-def]
-    """Arrays for :func:`measure`: ``keys, distance, fresh, stack, bound``."""
-    return (
-        np.empty(rule.neighbours, np.int64), np.empty(LEAF), np.empty(LEAF, np.int64),
-        np.empty(64, np.uint64), np.empty(64),
-    )  # fmt: skip
+    """Arrays for :func:`measure`: distances, the point's own among them, and branches put off."""
+    return np.empty(rule.neighbours + 1), np.empty(64, np.uint64)
 
 
 @njit()
 def measure(points, boxes, depth, slot, space, rule, scratch):  # type: ignore[no-untyped-def]
     """Find out a slot's squared spacing [quanta2]."""
-    keys, distance, fresh, stack, bound = scratch
+    nearest, stack = scratch
     leaf = leaf_of(slot, depth, np.uint64(points.shape[1]))
-    found = nearest_keys(
-        points, boxes, depth, leaf, slot, rule.cap, keys, distance, fresh, stack, bound
-    )
-    space[slot] = np.float64(rule.cap) * np.float64(rule.cap)
-    if found == rule.neighbours:
-        space[slot] = np.float64(keys[found - 1] >> 32)
+    x = np.float64(points[U0, slot])
+    y = np.float64(points[U1, slot])
+    z = np.float64(points[U2, slot])
+    wide = np.float64(rule.cap) * np.float64(rule.cap)
+    found = nth_distance(
+        points, boxes, depth, leaf, x, y, z, wide, space, -np.inf, nearest, stack
+    )  # fmt: skip
+    space[slot] = min(found, wide)
 
 
 @njit()
@@ -164,34 +161,11 @@ def peer_distances(
 
 @njit()
 def _distances(points, boxes, depth, wide, places, own, limit, wanted, out):  # type: ignore[no-untyped-def]
-    """Squared distance to the n-th peer; leaves out branches beyond the n-th so far."""
+    """Squared distance to the n-th peer."""
     depth = np.uint64(depth)
-    n, first = np.uint64(points.shape[1]), U1 << depth
-    stack, best = np.empty(64, dtype=np.uint64), np.empty(wanted, dtype=np.float64)
+    nearest, stack = np.empty(wanted), np.empty(64, dtype=np.uint64)
     for i in range(len(places)):
         x, y, z = np.float64(places[i, 0]), np.float64(places[i, 1]), np.float64(places[i, 2])
-        best[:] = np.inf
-        stack[0] = U1
-        top = U1
-        while top > U0:
-            top -= U1
-            node = stack[top]
-            if box_distance(boxes, node, x, y, z) > min(limit[i], best[wanted - 1]):
-                continue
-            if node < first:
-                stack[top] = node + node
-                stack[top + U1] = node + node + U1
-                top += U1 + U1
-                continue
-            low, high = leaf_slots(node, depth, n)
-            for slot in range(low, high):
-                dx, dy, dz = points[U0, slot] - x, points[1, slot] - y, points[2, slot] - z
-                d2 = dx * dx + dy * dy + dz * dz
-                if d2 > limit[i] or d2 >= best[wanted - 1] or wide[slot] < own[i]:
-                    continue
-                j = wanted - 1
-                while j > 0 and best[j - 1] > d2:
-                    best[j] = best[j - 1]
-                    j -= 1
-                best[j] = d2
-        out[i] = best[wanted - 1]
+        out[i] = nth_distance(
+            points, boxes, depth, U1, x, y, z, limit[i], wide, own[i], nearest, stack
+        )  # fmt: skip

@@ -23,9 +23,9 @@ from typing import Final
 
 import numpy as np
 
+from spl_batch.lattice.lattice_columns import Columns, columns_around, first_above
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.kdtree import U0, U1, U2, U3
-from spl_batch.numerics.neighbours.lattice_columns import Columns, columns_around, first_above
 from spl_batch.numerics.simd import UL, ascending, load, number, pack, spread
 
 CELL: Final = 0.83

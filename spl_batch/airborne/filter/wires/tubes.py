@@ -7,7 +7,7 @@ of its neighbours lie side by side. Chance tubes point anywhere.
 symbol name
 ====== ==========================================================================
 x, y, v offset from a tube's hanging line: along, across, upwards [quanta]
-w       r + ``spread`` |x|: half-width of a line drawn out [quanta]
+w       r + ``widening`` |x|: half-width of a line drawn out [quanta]
 d       max(|y|, |v|): distance off the line, in square rings [quanta]
 ====== ==========================================================================
 """
@@ -18,8 +18,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.lattice.lattice_columns import Columns, first_above, stretch_of
 from spl_batch.numerics.compiled import njit
-from spl_batch.numerics.neighbours.lattice_columns import Columns, first_above, stretch_of
+from spl_batch.numerics.neighbours.kdtree import U0, U1, U2
+from spl_batch.numerics.simd import LANES, UL, absolute, ascending, load, number, pack, spread
 
 PARTS: Final = 8
 """Equal parts of a tube that are distinguished [count]."""
@@ -53,21 +55,29 @@ def _along(tubes: Tubes, s: int, dx, dy, dz, bend):  # type: ignore[no-untyped-d
 
 
 @njit()
-def _in_tube(made: Columns, tubes: Tubes, s: int, reach, aside, above, spread, bend, found):  # type: ignore[no-untyped-def]
+def _room(made: Columns):  # type: ignore[no-untyped-def]
+    """Room for the slots of a tube's points, uint64, and for their places: x, y, v, float64."""
+    room = made.points.shape[1] + LANES
+    return np.empty(room, np.uint64), np.empty((3, room))
+
+
+@njit()
+def _in_tube(  # type: ignore[no-untyped-def]
+    made: Columns, tubes: Tubes, s: int, reach, aside, above, widening, bend, slots, places
+):
     """List the points of a tube drawn out to ``reach`` along its line; how many they are.
 
-    ``aside, above``: its half-widths at its middle. ``found``: (4, n) float64, receives slots and
-    x, y, v.
+    ``aside, above``: its half-widths at its middle. ``slots`` and ``places``: :func:`_room`.
     """
     east, north = math.cos(tubes.azimuth[s]), math.sin(tubes.azimuth[s])
     x0, y0, z0 = tubes.middle[s, 0], tubes.middle[s, 1], tubes.middle[s, 2]
     slope, edge, points = tubes.slope[s], made.edge, made.points
     nx, ny = made.shape
-    wide = aside + spread * reach
+    wide = aside + widening * reach
     long, deep = abs(east) * reach + abs(north) * wide, abs(north) * reach + abs(east) * wide
     i0, i1 = stretch_of(x0 - made.corner[0], long, edge, nx)
     j0, j1 = stretch_of(y0 - made.corner[1], deep, edge, ny)
-    size = 0
+    size = U0
     for i in range(i0, i1):
         for j in range(j0, j1):
             # A column whose axis is farther off than its half diagonal holds nothing.
@@ -77,21 +87,27 @@ def _in_tube(made: Columns, tubes: Tubes, s: int, reach, aside, above, spread, b
                 continue
             x = cx * east + cy * north
             far = abs(x) + edge
-            rise = abs(slope) * edge + above + spread * far
+            rise = abs(slope) * edge + above + widening * far
             low, high = z0 + slope * x - rise, z0 + slope * x + rise + bend * far * far
-            end = made.start[i * ny + j + 1]
-            for slot in range(first_above(points, made.start[i * ny + j], end, low), end):
-                if points[2, slot] > high:
-                    break
-                dx = np.float64(points[0, slot] - x0)
-                dy = np.float64(points[1, slot] - y0)
-                dz = np.float64(points[2, slot] - z0)
-                x, y, v = _along(tubes, s, dx, dy, dz, bend)
-                more = spread * abs(x)
-                if abs(x) <= reach and abs(y) <= aside + more and abs(v) <= above + more:
-                    found[0, size], found[1, size] = slot, x
-                    found[2, size], found[3, size] = y, v
-                    size += 1
+            first, stop = made.start[i * ny + j], made.start[i * ny + j + 1]
+            first = first_above(points, first, stop, low)
+            end = np.uint64(first_above(points, first, stop, math.floor(high) + 1.0))
+            for slot in range(np.uint64(first), end, UL):
+                dx = load(points, (U0, slot)) - spread(x0)
+                dy = load(points, (U1, slot)) - spread(y0)
+                dz = load(points, (U2, slot)) - spread(z0)
+                along = dx * spread(east) + dy * spread(north)
+                across = dy * spread(east) - dx * spread(north)
+                up = dz - spread(slope) * along - spread(bend) * along * along
+                more = spread(widening) * absolute(along)
+                taken = (absolute(along) <= spread(reach)) & (ascending(slot) < spread(end))
+                taken = taken & (absolute(across) <= spread(aside) + more)
+                taken = taken & (absolute(up) <= spread(above) + more)
+                pack(slots, size, ascending(slot), taken)
+                pack(places, (U0, size), along, taken)
+                pack(places, (U1, size), across, taken)
+                pack(places, (U2, size), up, taken)
+                size += number(taken)
     return size
 
 
@@ -104,14 +120,14 @@ def refine(
     ``flank`` (m,) receives the returns beside or above and below the tube, whichever are more, out
     to three times its half-width, less those inside. A plane has twice as many.
     """
-    found = np.empty((4, made.points.shape[1]))
+    slots, places = _room(made)
+    wide = 3.0 * radius
     for s in range(len(tubes.length)):
-        wide = 3.0 * radius
-        size = _in_tube(made, tubes, s, tubes.length[s], wide, wide, 0.0, bend, found)
+        size = _in_tube(made, tubes, s, tubes.length[s], wide, wide, 0.0, bend, slots, places)
         n, beside, above = 0, 0, 0
         sx = sy = sv = sxx = sxy = sxv = 0.0
         for k in range(size):
-            x, y, v = found[1, k], found[2, k], found[3, k]
+            x, y, v = places[0, k], places[1, k], places[2, k]
             if abs(y) > radius:
                 beside += abs(v) <= radius
             elif abs(v) > radius:
@@ -123,10 +139,10 @@ def refine(
         flank[s] = max(beside, above) - n
         if n < 2:
             continue
-        spread = n * sxx - sx * sx
+        long = n * sxx - sx * sx
         turn = rise = 0.0
-        if spread > 0.0:
-            turn, rise = (n * sxy - sx * sy) / spread, (n * sxv - sx * sv) / spread
+        if long > 0.0:
+            turn, rise = (n * sxy - sx * sy) / long, (n * sxv - sx * sv) / long
         aside = (sy - turn * sx) / n
         tubes.middle[s, 0] -= math.sin(tubes.azimuth[s]) * aside
         tubes.middle[s, 1] += math.cos(tubes.azimuth[s]) * aside
@@ -137,7 +153,7 @@ def refine(
 
 @njit()
 def agreeing(  # type: ignore[no-untyped-def]
-    made, tubes, stretch, radius, spread, beside, above, turn_max, bend, inline, abreast, against
+    made, tubes, stretch, radius, widening, beside, above, turn_max, bend, inline, abreast, against
 ):
     """Count the tubes that prolong each one, and those beside it that point the same way.
 
@@ -147,14 +163,15 @@ def agreeing(  # type: ignore[no-untyped-def]
     it, ``abreast`` those off its line, ``against`` the tubes on its line that point elsewhere, less
     those that agree.
     """
-    found = np.empty((4, len(tubes.length)))
+    slots, places = _room(made)
     for s in range(len(tubes.length)):
         reach = stretch * tubes.length[s]
         size = _in_tube(
-            made, tubes, s, reach + ROUNDED, beside + ROUNDED, above + ROUNDED, 0.0, bend, found
-        )
+            made, tubes, s, reach + ROUNDED, beside + ROUNDED, above + ROUNDED, 0.0, bend, slots,
+            places,
+        )  # fmt: skip
         for k in range(size):
-            t = made.points[3, np.int64(found[0, k])]
+            t = made.points[3, slots[k]]
             dx, dy = (
                 tubes.middle[t, 0] - tubes.middle[s, 0],
                 tubes.middle[t, 1] - tubes.middle[s, 1],
@@ -162,7 +179,7 @@ def agreeing(  # type: ignore[no-untyped-def]
             x, y, v = _along(tubes, s, dx, dy, tubes.middle[t, 2] - tubes.middle[s, 2], bend)
             if t == s or abs(x) > reach or abs(y) > beside or abs(v) > above:
                 continue
-            width = radius + spread * abs(x)
+            width = radius + widening * abs(x)
             on_line = abs(y) <= width and abs(v) <= width
             apart = tubes.azimuth[t] - tubes.azimuth[s]
             turn = abs(apart) % math.pi
@@ -180,14 +197,15 @@ def agreeing(  # type: ignore[no-untyped-def]
 
 @njit()
 def vote(  # type: ignore[no-untyped-def]
-    made: Columns, tubes: Tubes, radius: float, spread: float, bend: float, votes
+    made: Columns, tubes: Tubes, radius: float, widening: float, bend: float, votes
 ) -> None:
     """Count for every point the tubes that hold it: ``votes`` (n,) int32 by row."""
-    found = np.empty((4, made.points.shape[1]))
+    slots, places = _room(made)
     for s in range(len(tubes.length)):
-        size = _in_tube(made, tubes, s, tubes.length[s], radius, radius, spread, bend, found)
+        reach = tubes.length[s]
+        size = _in_tube(made, tubes, s, reach, radius, radius, widening, bend, slots, places)
         for k in range(size):
-            votes[made.points[3, np.int64(found[0, k])]] += 1
+            votes[made.points[3, slots[k]]] += 1
 
 
 @njit()
@@ -197,14 +215,14 @@ def surroundings(made, tubes, rings, bend, count, held):  # type: ignore[no-unty
     ``count`` (m, k) receives those of ``|x| <= length`` by distance, ``held`` (m, PARTS), all
     False, which parts of the tube hold returns within the first.
     """
-    found = np.empty((4, made.points.shape[1]))
+    slots, places = _room(made)
     for s in range(len(tubes.length)):
         reach = tubes.length[s]
-        size = _in_tube(made, tubes, s, reach, rings[-1], rings[-1], 0.0, bend, found)
+        size = _in_tube(made, tubes, s, reach, rings[-1], rings[-1], 0.0, bend, slots, places)
         for k in range(size):
-            off = max(abs(found[2, k]), abs(found[3, k]))
+            off = max(abs(places[1, k]), abs(places[2, k]))
             for ring in range(len(rings)):
                 count[s, ring] += off <= rings[ring]
             if off <= rings[0]:
-                part = np.int64((found[1, k] + reach) / (2.0 * reach) * PARTS)
+                part = np.int64((places[0, k] + reach) / (2.0 * reach) * PARTS)
                 held[s, min(part, PARTS - 1)] = True

@@ -44,8 +44,8 @@ from spl_batch.airborne.filter.wires.tubes import (
 )
 from spl_batch.airborne.settings import WireSettings
 from spl_batch.constants import QUANTA_PER_M
+from spl_batch.lattice.lattice_columns import Columns, columns
 from spl_batch.lattice.tiles import quanta
-from spl_batch.numerics.neighbours.lattice_columns import Columns, columns
 from spl_batch.numerics.poisson import noise_tail_probability
 
 CELL_M: Final = 1.0

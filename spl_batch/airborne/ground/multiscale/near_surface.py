@@ -5,10 +5,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from spl_batch.airborne.ground.point_spacing import Blocks
 from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.neighbours.place_grid import PlaceGrid
 from spl_batch.numerics.triangulation.tin import (
     Tin,
     facet_heights,
@@ -87,9 +87,7 @@ def near_surface(surface: Surface, places: Place, asked: Mask) -> Near:
     beyond = np.flatnonzero(facet < 0)
     if len(beyond):
         place = np.column_stack([x[beyond], y[beyond]])
-        # A few places ask for a tree of many nodes: one that is made fast.
-        tree = cKDTree(surface.nodes[:, :2], balanced_tree=False, compact_nodes=False)
-        nearest = tree.query(place)[1]
+        nearest = PlaceGrid.of(surface.nodes).nearest(place)[:, 0]
         node, rise = surface.nodes[nearest], surface.slopes[nearest]
         off[beyond] = z[beyond] - (node[:, 2] + ((place - node[:, :2]) * rise).sum(axis=1))
         slope[beyond] = np.hypot(*rise.T)

@@ -14,10 +14,10 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from spl_batch.airborne.ground.scales import DEPTH_M, SIDES, SIGMA_M, SPREADS
 from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.neighbours.place_grid import PlaceGrid
 
 NEAREST: Final = 20
 PLANE_REACH_M: Final = 6.0
@@ -104,7 +104,7 @@ def _far_below(nodes: Float, known: Mask, asked: Mask) -> Mask:
     out = np.zeros(len(nodes), np.bool_)
     index, judged = np.flatnonzero(known), np.flatnonzero(asked)
     if len(index) > NEAREST and len(judged):
-        near = cKDTree(nodes[index, :2]).query(nodes[judged, :2], NEAREST)[1]
+        near = PlaceGrid.of(nodes[index]).nearest(nodes[judged], NEAREST)
         out[judged] = _below_planes(nodes, judged, index[near])
     return out
 
@@ -123,7 +123,7 @@ def _below_planes(nodes: Float, judged: Index, around: Index) -> Mask:
 
 def nearest_nodes(nodes: Float) -> Index:
     """Those nearest to each of more than :data:`NEAREST` nodes, itself first: (n, NEAREST + 1)."""
-    return np.asarray(cKDTree(nodes[:, :2]).query(nodes[:, :2], NEAREST + 1)[1])
+    return PlaceGrid.of(nodes).nearest(nodes, NEAREST + 1)
 
 
 @njit()

@@ -13,7 +13,7 @@ from pyproj import CRS
 from spl_batch.airborne.plan.inputs.file_positions import extent, inspected, usable
 from spl_batch.airborne.plan.inputs.survey_crs import contradiction
 from spl_batch.airborne.settings import ReferenceSettings
-from spl_batch.airborne.tasks.checkpoints import read_named
+from spl_batch.airborne.tasks.reference import read_named
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.input_files import name_below
 from spl_batch.errors import (
@@ -131,26 +131,22 @@ def looked_into(
 ) -> tuple[CheckpointFile | None, list[Finding]]:
     """The file with its units, and findings on it, before the work starts.
 
-    Raises WorkflowError where it is of no use. ``files``: those of the survey; without any nothing
-    is read.
+    Raises WorkflowError where it is of no use. ``files``: those of the survey.
     """
-    if file is None or not files:
+    if file is None:
         return file, []
     try:
         with as_input_fault(file.path):
             known, remarks, units = read_named(file.path, crs, settings)
     except InputError as fault:
         raise WorkflowError(f"reference.checkpoints: {fault}") from None
-    boxes = [(f.mins_m, f.maxs_m) for f in files if f.n_points]
-    remarks += _misplaced(known, boxes, Units.of(crs))
+    remarks += _misplaced(known, [f for f in files if f.n_points], Units.of(crs))
     findings = [Finding("C01", {"kind": "file", "what": text}, file.name) for text in remarks]
     return file._replace(units=units), findings
 
 
 def _misplaced(
-    points: Sequence[Checkpoint],
-    boxes: Sequence[tuple[Sequence[float], Sequence[float]]],
-    units: Units,
+    points: Sequence[Checkpoint], files: Sequence[LasFacts], units: Units
 ) -> Iterator[str]:
     """Where all checkpoints lie and where the survey does: a wrong CRS, or unit, shows at once.
 
@@ -158,7 +154,7 @@ def _misplaced(
     wrong unit that it hides is named beside the terrain, once there is one.
     """
     places = np.array([(point.x_m, point.y_m, point.z_m) for point in points]).reshape(-1, 3)
-    low, high = (np.array([box[end] for box in boxes]).reshape(-1, 3) for end in (0, 1))
+    low, high = (np.array([getattr(f, end) for f in files]) for end in ("mins_m", "maxs_m"))
     inside = (places[:, None] >= low) & (places[:, None] <= high)
     within = inside[..., 0] & inside[..., 1]
     if len(points) and not within.any():

@@ -192,7 +192,7 @@ def crs_findings(
     ``settings``: their CRS stand for what files lack. ``files``: with boxes in metres.
     """
     if crs is None:
-        return [Finding("I08", {"kind": "none"})] if files else []
+        return [Finding("I08", {"kind": "none"})]
     units, unstated = Units.of(crs), vertical(crs) is None and len(crs.axis_info) < 3
     values = {"kind": "unit", "unit": in_words(units.vertical), "codes": NAVD88}
     of_heights = [Finding("I08", values)]
@@ -200,7 +200,8 @@ def crs_findings(
     stated = None if settings.crs is None else parse_crs(settings.crs, "survey.crs")
     if stated is None:
         others = {"kind": "others", "crs": crs_name(crs), "unit": in_words(units.horizontal)}
-        found += [Finding("I08", others, name) for name in _without_crs(files)]
+        silent = (name for name, facts in files if facts.crs is None and facts.n_points)
+        found += [Finding("I08", others, name) for name in silent]
     if horizontal(crs).is_engineering:
         return [*found, Finding("I08", {"kind": "local", "crs": crs_name(crs)})]
     found += _areas_off(crs, files)
@@ -215,11 +216,6 @@ def _areas_off(crs: CRS, files: Iterable[tuple[str, LasFacts]]) -> Iterator[Find
     if max(abs(lengths - 1.0), abs(areas - 1.0)) > AREAS_APART:
         values = {"kind": "scale", "crs": crs_name(crs), "lengths": lengths, "areas": areas}
         yield Finding("I05", values)
-
-
-def _without_crs(files: Iterable[tuple[str, LasFacts]]) -> list[str]:
-    """Files with points and without a CRS."""
-    return [name for name, facts in files if facts.crs is None and facts.n_points]
 
 
 def _without_heights(crs: CRS, files: Iterable[tuple[str, LasFacts]]) -> list[Finding]:

@@ -1,19 +1,15 @@
 """Which files a workflow names, and what is wrong with all of them at once; headers only."""
 
 import difflib
-import glob
+import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from pyproj import CRS
 
-from spl_batch.airborne.plan.inputs.client_areas import client_tiles, tiles_file
 from spl_batch.airborne.plan.inputs.file_positions import (
-    ASTRAY,
-    beside,
     boxes_of,
     degrees_as_metres,
     far_positions,
@@ -28,6 +24,13 @@ from spl_batch.airborne.plan.inputs.reference_files import (
     checked_reference,
     looked_into,
     named_file,
+)
+from spl_batch.airborne.plan.inputs.shape_files import (
+    checksums,
+    kept_degrees,
+    read_shapes,
+    refuse_uncut,
+    shape_files,
 )
 from spl_batch.airborne.plan.inputs.survey_crs import (
     check_reprojection,
@@ -49,14 +52,11 @@ from spl_batch.engine.settings.mistaken_file import url_fault
 from spl_batch.errors import (
     InputError,
     WorkflowError,
-    as_input_fault,
     named,
     shared,
     told_together,
 )
-from spl_batch.formats.breaklines import read_breaklines
-from spl_batch.formats.files.atomic import checksum
-from spl_batch.formats.geoid import Geoid, grid_file
+from spl_batch.formats.geoid import Geoid
 from spl_batch.formats.heights import with_vertical
 from spl_batch.formats.las.convert import copied_format
 from spl_batch.formats.las.copc import copc_fault
@@ -64,7 +64,6 @@ from spl_batch.formats.las.reader import LasFacts
 from spl_batch.formats.named_areas import NamedArea
 from spl_batch.formats.trajectory.records import SBET_SUFFIXES, first_records
 from spl_batch.formats.units import Units
-from spl_batch.formats.vector_files import check_polygons, shapes_keep_degrees
 
 NO_POINTS = "the file holds no points; name files that hold some, or copy it again"
 """What is wrong with a file where no other has points."""
@@ -121,7 +120,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     reference_names = workflow.reference.points if workflow.reference else None
     reference = expand(reference_names, base, "reference.points", faults)
     checkpoints = named_file(workflow.reference, base)
-    others = _shapes(workflow) | tiles_file(workflow)
+    others = shape_files(workflow)
     if workflow.reference and workflow.reference.checkpoints is not None:
         others["reference.checkpoints"] = workflow.reference.checkpoints
     faults += _missing(others, base)
@@ -133,21 +132,19 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     crs, good, mismatched = survey_crs(workflow, good)
     crs, good, lowered = with_heights(crs, workflow.survey, good)
     mismatched += lowered
+    bad += [*without_channel, *mismatched]
     if not any(facts.n_points for facts in good):
-        bad += [InputError(str(facts.path), NO_POINTS) for facts in good]
-        good = []
-    if workflow.survey.vertical_crs is not None and good:
+        empty = (InputError(str(facts.path), NO_POINTS) for facts in good)
+        return Inputs((), (*bad, *empty), trajectory, ReferenceFiles(), crs, ())
+    if workflow.survey.vertical_crs is not None:
         crs = with_vertical(crs, workflow.survey.vertical_crs, "survey.vertical_crs")
     good = [facts.in_metres(Units.of(crs)) for facts in good]
-    apart: list[Finding] = []
-    if good:
-        apart = _check_shapes(workflow, base, crs, good)
-    areas = client_tiles(workflow, base, crs, good) if good else ()
-    if workflow.outputs.geoid is not None and good:
-        geoid = workflow.outputs.geoid
+    refuse_uncut(workflow, base, crs, good)
+    areas, apart = read_shapes(workflow, base, crs, good)
+    geoid = workflow.outputs.geoid
+    if geoid is not None:
         Geoid(geoid.grid, base / geoid.grid, crs).crs_above(geoid.crs)
-    if good:
-        check_reprojection(workflow, crs, good)
+    check_reprojection(workflow, crs, good)
     _refuse_no_copc(workflow, good, base)
     untimed = _without_time(workflow, good, base)
     warnings = [*(Finding("I06", {"what": text}) for text in workflow.remarks()), *apart, *untimed]
@@ -158,7 +155,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     ]
     placed = [(name_below(facts.path, base), facts) for facts in good]
     warnings += [*degrees_as_metres(placed), *far_positions(placed), *saved_again(placed)]
-    warnings += _kept_degrees(workflow, base, crs)
+    warnings += kept_degrees(workflow, base, crs)
     checkpoints, remarks = looked_into(checkpoints, crs, workflow.reference, good)
     warnings += remarks
     warnings += crs_findings(crs, workflow.survey, placed)
@@ -170,12 +167,12 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     check_keys(sources)
     return Inputs(
         tuple(sorted(sources, key=lambda s: s.name)),
-        (*bad, *without_channel, *mismatched),
+        tuple(bad),
         trajectory,
-        checked_reference(reference if good else (), workflow.reference, crs, mismatched),
+        checked_reference(reference, workflow.reference, crs, mismatched),
         crs,
         tuple(warnings),
-        tuple(_checksums(workflow, base, crs)),
+        tuple(checksums(workflow, base, crs)),
         checkpoints,
         _unusable(trajectory, workflow, crs, good),
         areas,
@@ -189,47 +186,6 @@ def _missing(named: Mapping[str, str], base: Path) -> Iterator[str]:
             yield f"{key}: {name}: {fault}"
         elif not (base / name).exists():
             yield f"{key}: {base / name} does not exist; {CHECK}"
-
-
-def _shapes(workflow: Workflow) -> dict[str, str]:
-    """Files of shapes that a workflow names, by key."""
-    given = {key: getattr(workflow, key) for key in ("aoi", "water", "breaklines")}
-    return {key: name for key, name in given.items() if name is not None}
-
-
-def _check_shapes(
-    workflow: Workflow, base: Path, crs: CRS | None, files: Sequence[LasFacts]
-) -> list[Finding]:
-    """Read every polygon and breakline once: whatever is wrong is reported here, of all files.
-
-    An area of interest beyond the points would mark all of them as outside and is a fault; water
-    there has no effect, and is a warning.
-    """
-    faults: list[str] = []
-    warnings: list[Finding] = []
-    survey = boxes_of(files)
-    for key, name in _shapes(workflow).items():
-        try:
-            with as_input_fault(base / name):
-                shapes = np.array(
-                    [water.area for water in read_breaklines(base / name, crs)]
-                    if key == "breaklines"
-                    else check_polygons(base / name, crs)
-                )
-            apart = beside(shapes, survey, Units.of(crs))
-            if apart and key == "aoi":
-                faults.append(f"{key}: {base / name}: {ASTRAY.format(**apart)}")
-            elif apart:
-                values = {
-                    "kind": "shapes", "key": key, "shapes": apart["shapes"],
-                    "points": apart["points"],
-                }  # fmt: skip
-                warnings.append(Finding("I05", values, name))
-        except InputError as fault:
-            faults.append(f"{key}: {fault}")
-    if faults:
-        raise WorkflowError("; ".join(faults))
-    return warnings
 
 
 def _refuse_no_copc(workflow: Workflow, files: Sequence[LasFacts], base: Path) -> None:
@@ -256,7 +212,7 @@ def _unusable(
     faults: list[InputError] = []
     elsewhere: list[InputError] = []
     named_crs = crs is None or workflow.survey.trajectory_crs is not None
-    survey = boxes_of(files) if files else None
+    survey = boxes_of(files)
     for path in trajectory:
         try:
             first = first_records(path)
@@ -264,9 +220,7 @@ def _unusable(
             faults.append(fault)
             continue
         unnamed = not named_crs and path.suffix.lower() not in SBET_SUFFIXES
-        if first is None or survey is None or not unnamed:
-            continue
-        if text := in_other_unit(first, crs, survey):
+        if first is not None and unnamed and (text := in_other_unit(first, crs, survey)):
             elsewhere.append(InputError(str(path), text))
     if trajectory and len(faults) + len(elsewhere) == len(trajectory):
         raise WorkflowError(f"survey.trajectory: {'; '.join(told_together([*faults, *elsewhere]))}")
@@ -291,31 +245,6 @@ def _without_time(workflow: Workflow, files: Sequence[LasFacts], base: Path) -> 
     ]
 
 
-def _kept_degrees(workflow: Workflow, base: Path, crs: CRS | None) -> Iterator[Finding]:
-    """Files of shapes that come to the survey's CRS in another way than the best."""
-    for key, name in (_shapes(workflow) | tiles_file(workflow)).items():
-        for way in shapes_keep_degrees(base / name, crs):
-            yield Finding("I05", {"kind": "grid", "key": key, "what": way}, name)
-
-
-def _checksums(workflow: Workflow, base: Path, crs: CRS | None) -> Iterable[tuple[str, str]]:
-    """Key and checksum of each file beside the points, with the way of shapes to the survey's CRS.
-
-    That way changes what comes of them, and with it what is done again, once a grid is there.
-    """
-    named = _shapes(workflow) | tiles_file(workflow)
-    files = {key: base / name for key, name in named.items()}
-    geoid = workflow.outputs.geoid
-    if geoid is not None and (grid := grid_file(geoid.grid, base / geoid.grid)) is not None:
-        files["outputs.geoid.grid"] = grid
-    for key, path in files.items():
-        # A shapefile's corners, table and CRS lie in files of the same stem.
-        parts = path.parent.glob(f"{glob.escape(path.stem)}.*")
-        whole = sorted(parts) if path.suffix.lower() == ".shp" else [path]
-        ways = shapes_keep_degrees(path, crs) if key in named else []
-        yield key, " ".join([*(checksum(part) for part in whole), *ways])
-
-
 def source_args(source: Source) -> dict[str, str]:
     """A file as the arguments of a task name it."""
     return {"source": str(source.key), "path": str(source.path)}
@@ -337,10 +266,8 @@ def _with_channel(
 
     Where all lack it the key is wrong, not the files.
     """
-    if dimension is None:
-        return list(files), []
     lacking = [facts for facts in files if dimension not in facts.dimensions]
-    if not lacking:
+    if dimension is None or not lacking:
         return list(files), []
     if len(lacking) == len(files):
         there = list(dict.fromkeys(name for facts in files for name in facts.dimensions))
@@ -359,16 +286,9 @@ def _with_channel(
 
 def _delivered_names(paths: Sequence[Path], base: Path) -> list[str]:
     """Relative names of the outputs: from the workflow's folder, else from a common one."""
-    if not paths:
-        return []
     root = base
     if not all(path.is_relative_to(base) for path in paths):
-        parents = [path.parent for path in paths]
-        root = next(
-            p
-            for p in (parents[0], *parents[0].parents)
-            if all(q.is_relative_to(p) for q in parents)
-        )
+        root = Path(os.path.commonpath([path.parent for path in paths]))
     relative = [path.relative_to(root).as_posix() for path in paths]
     stems = [name.rsplit(".", 1)[0].removesuffix(".copc") for name in relative]
     twice = {stem for stem, n in Counter(stems).items() if n > 1}

@@ -25,9 +25,9 @@ from spl_batch.airborne.filter.wires.tubes import PARTS, Tubes, agreeing, refine
 from spl_batch.airborne.filter.wires.wire_scan import reach_m, scan
 from spl_batch.airborne.settings import FilterSettings, WireSettings
 from spl_batch.constants import CLASS_HIGH_NOISE, CLASS_WIRE, NOISE_SIGNAL
+from spl_batch.lattice.lattice_columns import Columns, columns
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds
-from spl_batch.numerics.neighbours.lattice_columns import Columns, columns
 from tests.airborne.filter.test_denoise import as_table
 
 FAST = settings(max_examples=15, deadline=None)

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.numerics.compiled import njit
-from spl_batch.numerics.sorting import sort
 
 
 class Columns(NamedTuple):
@@ -53,37 +53,11 @@ def columns(
     column = (cell[0] - first[0]) * shape[1] + (cell[1] - first[1])
     start = np.zeros(shape[0] * shape[1] + 1, dtype=np.int64)
     np.cumsum(np.bincount(column, minlength=len(start) - 1), out=start[1:])
-    _fill(taken, rows, column, start, points)
+    order = lexicographic_order([column, taken[:, 2]])  # rows ascend within equal heights
+    for axis, values in enumerate((*taken.T, rows)):
+        points[axis] = values[order]
     corner = np.array([first[a] * edge - anchor[a] for a in (0, 1)], dtype=np.int64)
     return Columns(points, start, corner, shape, edge)
-
-
-@njit()
-def _fill(taken, rows, column, start, points):  # type: ignore[no-untyped-def]
-    """Counting sort by column, then by height; rows ascend within equal heights."""
-    after, place = np.empty(len(start) - 1, np.int64), np.empty(len(rows), np.int64)
-    for c in range(len(after)):
-        after[c] = start[c]
-    for i in range(len(rows)):
-        place[after[column[i]]] = i
-        after[column[i]] += 1
-    for c in range(len(start) - 1):
-        low, high = start[c], start[c + 1]
-        if low == high:
-            continue
-        keys = np.empty(high - low, np.int64)
-        for s in range(low, high):
-            keys[s - low] = (np.int64(taken[place[s], 2]) << 32) | np.int64(s)
-        sort(keys)
-        for k in range(high - low):
-            i = place[keys[k] & 0xFFFF_FFFF]
-            slot = low + k
-            points[0, slot], points[1, slot], points[2, slot] = (
-                taken[i, 0],
-                taken[i, 1],
-                taken[i, 2],
-            )
-            points[3, slot] = rows[i]
 
 
 @njit()
