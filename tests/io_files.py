@@ -74,6 +74,23 @@ def write_las(
     return path
 
 
+def geo_keys(*keys: tuple[int, int]) -> bytes:
+    """Directory of GeoTIFF keys, each with its number and its code."""
+    values = [1, 1, 0, len(keys), *(v for key, code in keys for v in (key, 0, 1, code))]
+    return np.array(values, "<u2").tobytes()
+
+
+def keys_record(*keys: tuple[int, int]) -> laspy.VLR:
+    """Header record of GeoTIFF keys."""
+    return laspy.VLR("LASF_Projection", 34735, "", geo_keys(*keys))
+
+
+def wkt_record(crs: str, user: str = "LASF_Projection") -> laspy.VLR:
+    """Header record of a CRS as WKT."""
+    text = CRS.from_user_input(crs).to_wkt("WKT1_GDAL")
+    return laspy.VLR(user, 2112, "", text.encode() + b"\0")
+
+
 def with_record(content: bytes, user: bytes, number: int, data: bytes) -> bytes:
     """A file with one more record behind the others; places that the header tells move on."""
     record = struct.pack("<H16sHH32s", 0, user, number, len(data), b"") + data

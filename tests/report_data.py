@@ -130,12 +130,7 @@ def make_report(**changes: Any) -> Report:
     )
     stages = {
         "index": (3.1, 3, 3_640_000.0, 210.0),
-        "shots": (38.4, 12, 293_852.0, 802.0),
-        "shuffle": (16.9, 12, 667_694.0, 655.0),
         "denoise": (61.7, 12, 182_885.0, 1_410.0),
-        "ground": (33.2, 6, 339_880.0, 1_122.0),
-        "surfaces": (12.6, 12, 895_558.0, 640.0),
-        "deliver": (24.0, 4, 470_168.0, 520.0),
         "report": (6.2, 1, None, 488.0),
     }
     values: dict[str, Any] = {
@@ -210,6 +205,15 @@ def make_report(**changes: Any) -> Report:
         ),
     }
     return Report(**{**values, **changes})
+
+
+def smallest_report() -> Report:
+    """A report of nothing."""
+    return Report(
+        survey=Survey(name="nothing"),
+        counts=Counts(points_in=0, points_out=0),
+        provenance=Provenance(version="0", created="2026-01-01T00:00:00+00:00"),
+    )
 
 
 def make_failures() -> tuple[Failure, ...]:

@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import json
 import os
 import shutil
 import time
@@ -11,8 +12,10 @@ from typing import Any, NamedTuple
 
 import laspy
 import numpy as np
+import pyogrio
 import pytest
 import rasterio
+import shapely
 import yaml
 from numpy.typing import NDArray
 from pyproj import CRS
@@ -149,6 +152,19 @@ def in_feet(path: Path, target: Path, crs: str, units_m: Sequence[float]) -> Pat
     return target
 
 
+def write_shapes(path: Path, shapes: Iterable[Any], crs: Any = CRS_NAME, **fields: Any) -> Path:
+    """Write shapes of one kind, and a value of each field for each of them."""
+    drawn = np.array([*shapes], object)
+    columns = [np.array([*values]) for values in fields.values()]
+    pyogrio.raw.write(
+        path, shapely.to_wkb(drawn),
+        [column.astype(object) if column.dtype.kind == "U" else column for column in columns],
+        [*fields], geometry_type=drawn[0].geom_type + " Z" * bool(drawn[0].has_z),
+        crs=CRS.from_user_input(crs).to_wkt(),
+    )  # fmt: skip
+    return path
+
+
 def write_trajectory(
     path: Path, *, start_s: float = START_S - 1, stop_s: float = START_S + 10, shift_m: float = 0.0
 ) -> Path:
@@ -253,6 +269,11 @@ def rasters(output: Path) -> dict[str, tuple[bytes, Any]]:
         with rasterio.open(path) as source:
             found[path.name] = (source.read(1).tobytes(), source.transform)
     return found
+
+
+def report(output: Path) -> Any:
+    """The report of a run, as programs read it."""
+    return json.loads((output / "report.json").read_text(encoding="utf-8"))
 
 
 def results(output: Path) -> dict[str, bytes]:

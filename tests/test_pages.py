@@ -11,15 +11,11 @@ import numpy as np
 import pytest
 
 from spl_batch.cli import cli
+from tests.workflow_files import blocks
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 GUIDES = ("tutorial.md", "coming_from.md", "using.md", "troubleshooting.md")
-
-
-def blocks(name: str, language: str) -> list[str]:
-    text = (DOCS / name).read_text(encoding="utf-8")
-    return re.findall(rf"^```{language}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
 
 
 def test_the_code_of_the_tutorial_runs(
@@ -30,7 +26,7 @@ def test_the_code_of_the_tutorial_runs(
     (tmp_path / "survey" / "out").symlink_to(tiny_output)
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
-    code = blocks("tutorial.md", "python")
+    code = blocks(DOCS / "tutorial.md", "python")
     assert len(code) == 4
     for block in code:
         exec(compile(block, "tutorial.md", "exec"), names)  # noqa: S102 - it is our own page
@@ -45,7 +41,7 @@ def test_the_code_of_the_page_on_arrays_runs(
     (tmp_path / "flightline.laz").symlink_to(line)
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
-    *first, beams = blocks("arrays.md", "python")
+    *first, beams = blocks(DOCS / "arrays.md", "python")
     assert len(first) == 2
     for block in first:
         exec(compile(block, "arrays.md", "exec"), names)  # noqa: S102 - it is our own page
@@ -64,7 +60,7 @@ def test_the_code_of_the_page_on_arrays_runs(
 @pytest.mark.parametrize("name", GUIDES)
 def test_commands_on_pages_are_commands(name: str) -> None:
     text = (DOCS / name).read_text(encoding="utf-8")
-    found = [line for block in blocks(name, "sh") for line in block.splitlines()]
+    found = [line for block in blocks(DOCS / name, "sh") for line in block.splitlines()]
     found += re.findall(r"`(spl-batch [a-z][^`]*)`", text)
     for line in found:
         if not line.startswith("spl-batch ") or "|" in line:

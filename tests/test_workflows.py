@@ -17,20 +17,15 @@ from spl_batch.engine.tasks.step import stages
 from spl_batch.errors import WorkflowError
 from spl_batch.geiger.coincidence.simulate import SceneSettings
 from spl_batch.geiger.water.simulate import WaterScene
-from tests.workflow_files import differing, unshown
+from tests.workflow_files import blocks, differing, unshown
 
 ROOT = Path(__file__).parents[1]
 FILES = sorted((ROOT / "workflows").glob("*.yaml"))
 WORKFLOWS = [path for path in FILES if not path.name.endswith("scene.yaml")]
-README = (ROOT / "README.md").read_text(encoding="utf-8")
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 MAIN_JOB = "pip install . && spl-batch quickstart"
 TESTS = "pip install '.[test]' && python -m pytest"
-
-
-def blocks(page: Path, language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
 
 
 @pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.stem)

@@ -1,11 +1,18 @@
-"""What the complete files in ``workflows/`` show, beside the keys and defaults that there are."""
+"""What files and pages that people are shown hold, beside the keys and defaults that there are."""
 
 import re
+from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel
 
 from spl_batch.engine.settings.base import Section
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    """Pieces of code of a page, in order."""
+    text = page.read_text(encoding="utf-8")
+    return re.findall(rf"^```{language}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
 
 
 def keys(model: type[BaseModel], place: str = "") -> list[str]:

@@ -11,7 +11,7 @@ from spl_batch.engine.plan.budget import Cost, refuse_too_large
 from spl_batch.engine.verbs.planning import limit_bytes
 from spl_batch.engine.verbs.running import RunResult, run
 from spl_batch.engine.verbs.simulation import simulate
-from spl_batch.engine.watch.events import Listener, ignore
+from spl_batch.engine.watch.events import Compiling, Event, Listener, ignore
 
 _POINTS: Final = 1_789_819
 """Points of the survey [count]; they lie in one ground cell, the heaviest task."""
@@ -60,9 +60,17 @@ def quickstart(
     refuse_too_large(_COST, limit)
     folder = Path(output)
     workflow = folder / "workflow.yaml"
-    if not workflow.exists():
-        preset = resources.files("spl_batch.airborne").joinpath("simulate/presets/quickstart.yaml")
-        # The simulation takes one processor.
-        with resources.as_file(preset) as scene, compiling_beside():
+    if workflow.exists():
+        return run(workflow, workers=workers, memory=memory, listener=listener)
+    preset = resources.files("spl_batch.airborne").joinpath("simulate/presets/quickstart.yaml")
+    # The simulation takes one processor, and workers start for seconds.
+    with compiling_beside() as beside:
+
+        def heard(event: Event) -> None:
+            if beside is not None and isinstance(event, Compiling):
+                beside.kill()  # the workers go on with what it has not compiled
+            listener(event)
+
+        with resources.as_file(preset) as scene:
             simulate(scene, folder, progress=progress)
-    return run(workflow, workers=workers, memory=memory, listener=listener)
+        return run(workflow, workers=workers, memory=memory, listener=heard)

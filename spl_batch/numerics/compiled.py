@@ -14,6 +14,9 @@ an upgrade, the old code would go on (numba issue 10128).
 :func:`njit` mends both. It writes under a lock of the folder, the code first; and code is current
 as long as no file of the project that its own file imports, directly or not, has changed.
 
+A kernel with ``inline="always"`` is inlined by LLVM: numba would type and lower it anew within each
+kernel that calls it.
+
 A kernel that another one calls with a constant would be compiled for that constant alone, and so
 would all that it calls with it. Here it is compiled once, for any number.
 
@@ -35,7 +38,12 @@ from numba.core import caching, types
 from numba.core.dispatcher import Dispatcher
 
 from spl_batch.imports import content_hash, imported
-from spl_batch.numerics.linked_code import CompilerForLinking
+from spl_batch.numerics.linked_code import (
+    CompilerForInlining,
+    CompilerForLinking,
+    KernelCompiler,
+    linked,
+)
 
 try:
     import fcntl
@@ -62,11 +70,12 @@ def njit(**options: Any) -> Callable[[_F], "Dispatcher[_F]"]:
         Decorator that makes a dispatcher of numba of a function.
     """
     taken = {**options, "nogil": True, "cache": True, "no_cfunc_wrapper": True}
+    inlined = taken.pop("inline", "never") == "always"
 
     def decorate(function: _F) -> "Dispatcher[_F]":
-        kernel: Any = numba.njit(**taken)(function)
+        kernel: Any = numba.njit(**taken, pipeline_class=KernelCompiler)(function)
         kernel._cache._cache_file = kept(kernel._cache)  # noqa: SLF001 - there is no other way
-        kernel.for_kernels = _inner(function, taken) or kernel
+        kernel.for_kernels = _inner(function, taken, inlined=inlined) or kernel
         kernel.get_overload = kernel.for_kernels.get_overload
         kernel.get_call_template = partial(_of_any_number, kernel.for_kernels.get_call_template)
         return cast("Dispatcher[_F]", kernel)
@@ -74,14 +83,15 @@ def njit(**options: Any) -> Callable[[_F], "Dispatcher[_F]"]:
     return decorate
 
 
-def _inner(function: Callable[..., Any], options: Mapping[str, Any]) -> Any:
+def _inner(function: Callable[..., Any], options: Mapping[str, Any], *, inlined: bool) -> Any:
     """The same kernel for other kernels alone; None where its code cannot be kept apart."""
-    without = {**options, "no_cpython_wrapper": True, "pipeline_class": CompilerForLinking}
-    inner: Any = numba.njit(**without)(function)
+    compiler = CompilerForInlining if inlined else CompilerForLinking
+    inner: Any = numba.njit(**options, pipeline_class=compiler)(function)
     code = kept(inner._cache, "inner")  # noqa: SLF001 - there is no other way
     if not isinstance(code, KeptCode):
         return None
     inner._cache._cache_file = code  # noqa: SLF001
+    inner.targetctx = linked(inner.targetctx)
     return inner
 
 

@@ -46,9 +46,10 @@ def nearest_heights(
         for col in range(out.shape[2]):
             cell = row + rim, col + rim
             ring = _find_nearest(xyz, start, lattice, cell, nearest)
-            out[:, row, col] = np.nan
+            out[0, row, col] = out[1, row, col] = np.nan
             if nearest[0] <= reach * reach and nearest[-1] <= ((rim + 0.5) * size) ** 2:
-                out[:, row, col] = _allowed(xyz, start, lattice, cell, ring, nearest[-1])
+                low, high = _allowed(xyz, start, lattice, cell, ring, nearest[-1])
+                out[0, row, col], out[1, row, col] = low, high
 
 
 @njit()
@@ -63,7 +64,8 @@ def _find_nearest(
     x, y, _ = xyz
     cols, rim, size = lattice
     row, col = cell
-    nearest[:] = np.inf
+    for k in range(len(nearest)):
+        nearest[k] = np.inf
     ring = -1
     while ring < rim and (ring < 0 or nearest[-1] > ((ring + 0.5) * size) ** 2):
         ring += 1
@@ -91,20 +93,22 @@ def _allowed(
     cols, _, size = lattice
     row, col = cell
     # Whole numbers of half quanta: sums are exact in any order.
-    n, low, high, sums = 0, np.inf, -np.inf, np.zeros(8)
+    n, low, high = 0, np.inf, -np.inf
+    su = sv = sw = suu = suv = svv = suw = svw = 0.0
     for r in range(row - ring, row + ring + 1):
         for p in range(start[r * cols + col - ring], start[r * cols + col + ring + 1]):
             u, v, w = x[p] - (col + 0.5) * size, y[p] - (row + 0.5) * size, float(z[p])
             if u * u + v * v <= farthest2:
                 low, high, n = min(low, w), max(high, w), n + 1
-                for k, value in enumerate((u, v, w, u * u, u * v, v * v, u * w, v * w)):
-                    sums[k] += value
-    u, v, w, uu, uv, vv, uw, vw = sums / n
-    uu, uv, vv = uu - u * u, uv - u * v, vv - v * v
+                su, sv, sw = su + u, sv + v, sw + w
+                suu, suv, svv = suu + u * u, suv + u * v, svv + v * v
+                suw, svw = suw + u * w, svw + v * w
+    u, v, w = su / n, sv / n, sw / n
+    uu, uv, vv = suu / n - u * u, suv / n - u * v, svv / n - v * v
     # Returns on one line, up to rounding, give no slope across it.
     rounding = _ROUNDING * (uu + vv)
     uu, vv = uu + rounding, vv + rounding
-    uw, vw = uw - u * w, vw - v * w
+    uw, vw = suw / n - u * w, svw / n - v * w
     scale = uu * vv - uv * uv
     rise = np.hypot(vv * uw - uv * vw, uu * vw - uv * uw) / scale if scale > 0.0 else 0.0
     share = rise * np.sqrt(farthest2)

@@ -25,6 +25,19 @@ def bending(distance2: float) -> float:
 
 
 @njit()
+def _pivot(matrix: Values, values: Values, k: int) -> None:
+    """Bring the row with the largest value of a column to the diagonal, from there or below."""
+    pivot, end = k, np.uint64(len(values))
+    for i in range(k + U1, end):
+        if abs(matrix[i, k]) > abs(matrix[pivot, k]):
+            pivot = i
+    if pivot != k:
+        for j in range(k, end):
+            matrix[k, j], matrix[pivot, j] = matrix[pivot, j], matrix[k, j]
+        values[k], values[pivot] = values[pivot], values[k]
+
+
+@njit()
 def _solve(matrix: Values, values: Values) -> bool:
     """Solve a square system in place, pivots by column; whether it can be solved.
 
@@ -33,13 +46,9 @@ def _solve(matrix: Values, values: Values) -> bool:
     """
     n, end = len(values), np.uint64(len(values))
     for k in range(U0, end):
-        pivot = k + np.uint64(np.argmax(np.abs(matrix[k:, k])))
-        if matrix[pivot, k] == 0.0:
+        _pivot(matrix, values, k)
+        if matrix[k, k] == 0.0:
             return False
-        if pivot != k:
-            for j in range(k, end):
-                matrix[k, j], matrix[pivot, j] = matrix[pivot, j], matrix[k, j]
-            values[k], values[pivot] = values[pivot], values[k]
         for i in range(k + U1, end):
             factor = matrix[i, k] / matrix[k, k]
             if factor != 0.0:
@@ -74,9 +83,10 @@ def fit_plate(points: Values, stiffness: float, plate: Values) -> bool:
     """
     n = len(points)
     matrix = np.zeros((n + 3, n + 3))
-    plate[:] = 0.0
+    for i in range(n, n + 3):
+        plate[i] = 0.0
     for i in range(n):
-        x, y, plate[i] = points[i]
+        x, y, plate[i] = points[i, 0], points[i, 1], points[i, 2]
         for j in range(i):
             matrix[i, j] = bending((x - points[j, 0]) ** 2 + (y - points[j, 1]) ** 2)
             matrix[j, i] = matrix[i, j]

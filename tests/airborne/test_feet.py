@@ -50,11 +50,8 @@ def twins(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     # A client of the metric survey wants feet: tiles with edges at whole ones.
     x, y = np.rint(np.divide(surveys.ORIGIN_M, US_M))
     tiles = [shapely.box(x - 60, y - 60, x + 6, y + 60), shapely.box(x + 6, y - 60, x + 18, y + 60)]
-    drawn = shapely.to_wkb(shapely.transform(tiles, lambda xy: xy * US_M))
-    pyogrio.raw.write(
-        metres / "tiles.gpkg", drawn, [np.array(["A", "B"], object)], ["name"],
-        geometry_type="Polygon", crs=surveys.CRS_NAME,
-    )  # fmt: skip
+    drawn = shapely.transform(tiles, lambda xy: xy * US_M)
+    surveys.write_shapes(metres / "tiles.gpkg", drawn, name=["A", "B"])
     in_metres = surveys.write_workflow(
         metres,
         reference={"checkpoints": "checkpoints.csv"},
@@ -86,7 +83,7 @@ def test_rasters_are_the_same_to_a_tenth_of_a_millimetre(twins: tuple[Path, Path
 
 
 def test_the_report_states_the_units(twins: tuple[Path, Path]) -> None:
-    metres, feet = (json.loads((out / "report.json").read_text()) for out in twins)
+    metres, feet = map(surveys.report, twins)
     for one in (metres, feet):
         assert one["survey"]["units"]["vertical"] == US_FOOT
         assert one["survey"]["units"]["horizontal_m"] == US_M
@@ -101,7 +98,7 @@ def test_a_report_written_again_keeps_the_unit_and_all_is_listed(twins: tuple[Pa
     for label, name in (("reprojected", "reprojected"), ("client tiles", "client_tiles")):
         assert listed[label] == [twins[0] / name]
         assert (twins[0] / name).is_dir()
-    survey = json.loads((twins[0] / "report.json").read_text())["survey"]
+    survey = surveys.report(twins[0])["survey"]
     assert survey["units"]["vertical"] == US_FOOT
     assert survey["crs_name"] == "WGS 84 / UTM zone 15N"
     assert survey["reprojected_crs_name"] == "WGS 84 / UTM zone 15N (ftUS)"
@@ -213,15 +210,9 @@ def test_the_workflow_of_a_us_county(twins: tuple[Path, Path], tmp_path: Path) -
         "A1": shapely.box(x - 50, y - 99, x + 9, y + 99),
         "A2": shapely.box(x + 9, y - 99, x + 20, y + 99),
     }
-    for name, field, shapes in (
-        ("county.gpkg", "name", {"county": shapely.unary_union(list(areas.values()))}),
-        ("county_tiles.gpkg", "tile", areas),
-    ):
-        wkb = shapely.to_wkb(np.array(list(shapes.values()), object))
-        pyogrio.raw.write(
-            tmp_path / name, wkb, [np.array(list(shapes), object)], [field],
-            geometry_type="Polygon", crs=crs,
-        )  # fmt: skip
+    county = [shapely.unary_union([*areas.values()])]
+    surveys.write_shapes(tmp_path / "county.gpkg", county, crs)
+    surveys.write_shapes(tmp_path / "county_tiles.gpkg", areas.values(), crs, tile=areas)
     content = yaml.safe_load((ROOT / "workflows" / "us_county.yaml").read_text())
     content["survey"]["trajectory"] = "trajectory.csv"
     content["ground"] = {"cell_m": 50, "buffer_m": 20}
@@ -258,10 +249,8 @@ def test_a_clients_tiles_are_cut_out_of_clouds_and_rasters_that_are_written_agai
         las.change_scaling(scales=[0.001, 0.001, 0.01])
         las.write(tmp_path / "lines" / path.name)
     x, y = np.array(surveys.ORIGIN_M) / US_M
-    pyogrio.raw.write(
-        tmp_path / "tiles.gpkg", shapely.to_wkb([shapely.box(x - 60, y - 60, x + 60, y + 60)]),
-        [np.array(["A"], object)], ["name"], geometry_type="Polygon", crs=FEET,
-    )  # fmt: skip
+    around = shapely.box(x - 60, y - 60, x + 60, y + 60)
+    surveys.write_shapes(tmp_path / "tiles.gpkg", [around], FEET, name=["A"])
     tiles = tmp_path / "out" / "client_tiles"
 
     def workflow(form: str, **outputs: object) -> Path:

@@ -1,6 +1,5 @@
 """Whole runs on photon files: labels, profiles, reports, cuts, damage and mistakes."""
 
-import json
 import shutil
 from pathlib import Path
 from typing import Any
@@ -35,9 +34,8 @@ def run(workflow: Path, *options: Any) -> Any:
     return surveys.command("run", workflow, "--workers", 0, *options)
 
 
-def report(workflow: Path) -> dict[str, Any]:
-    content: dict[str, Any] = json.loads((workflow.parent / "out/report.json").read_text())
-    return content
+def report(workflow: Path) -> Any:
+    return surveys.report(workflow.parent / "out")
 
 
 @pytest.fixture(scope="module")

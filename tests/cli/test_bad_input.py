@@ -1,6 +1,5 @@
 """Bad input: one clear line each, never a traceback, the exit status of the contract."""
 
-import json
 import shutil
 import struct
 from collections.abc import Callable
@@ -80,7 +79,7 @@ def test_a_broken_file_among_good_ones_is_named_and_mended(
     ended = run(survey)
     failed(ended, survey, "bad.laz")
     assert f"unusable: {bad}: " in ended.err
-    report = json.loads((survey.parent / "out/report.json").read_text(encoding="utf-8"))
+    report = surveys.report(survey.parent / "out")
     assert report["counts"]["not_read"] == promised, "what a sound header says is missed"
     ended = surveys.command("plan", survey)
     assert ended.status == 1

@@ -1,15 +1,11 @@
 """Pages of reports: structure, parameters, maps; and records that another version has left."""
 
-import html.parser
-from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from spl_batch.airborne.report.pictures import make_pictures
-from spl_batch.airborne.report.survey_page import render
 from spl_batch.airborne.settings.workflow import parse_workflow
 from spl_batch.engine.report import maps, style
 from spl_batch.engine.report.maps import Raster
@@ -17,41 +13,8 @@ from spl_batch.engine.report.page import changed
 from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.verbs import reporting
 from spl_batch.errors import StoreError
-from tests.report_data import make_inputs, make_report
 
 EXTENT = (500_000.0, 500_400.0, 3_300_000.0, 3_300_300.0)
-
-
-class Outline(html.parser.HTMLParser):
-    """Levels of headings, headers of tables and pictures of a page."""
-
-    def __init__(self, page: str) -> None:
-        super().__init__()
-        self.headings: list[int] = []
-        self.headers: list[dict[str, str | None]] = []
-        self.images: list[dict[str, str | None]] = []
-        self.feed(page)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        if tag in {"h1", "h2", "h3", "h4"}:
-            self.headings.append(int(tag[1]))
-        elif tag == "th":
-            self.headers.append(dict(attrs))
-        elif tag == "img":
-            self.images.append(dict(attrs))
-
-
-def test_a_page_has_one_main_part_headings_in_order_and_pictures_in_words() -> None:
-    report = make_report()
-    page = render(report, make_pictures(report=report, **make_inputs()))
-    assert page.count("<main>") == page.count("</main>") == 1
-    found = Outline(page)
-    assert (found.headings[0], found.headings.count(1)) == (1, 1)
-    assert all(after - before <= 1 for before, after in pairwise(found.headings))
-    assert {header.get("scope") for header in found.headers} == {"col", "row"}
-    assert all(len(image["alt"] or "") > 20 for image in found.images)
-    assert "http://" not in page.replace("http://www.w3.org", "")
-    assert page.index("Parameters that differ") < page.index("Appendix: all parameters")
 
 
 def test_only_what_differs_is_shown() -> None:

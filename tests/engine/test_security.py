@@ -29,8 +29,9 @@ from spl_batch.formats.verified.parquet_npz import read_arrays
 from spl_batch.geiger.water.formats import inspect_frames, iter_frames
 from tests import clusters, surveys
 from tests.clusters import ROOT
+from tests.workflow_files import blocks
 
-PAGE = (ROOT / "docs/security.md").read_text(encoding="utf-8")
+PAGE = ROOT / "docs/security.md"
 LOOPBACK = {"127.0.0.1", "::1"}
 
 
@@ -50,11 +51,6 @@ def test_local_workers_listen_on_loopback_alone() -> None:
 
 
 # TLS
-
-
-def blocks(kind: str) -> list[str]:
-    """Pieces of code of the page, in order."""
-    return re.findall(rf"```{kind}\n(.*?)```", PAGE, flags=re.DOTALL)
 
 
 @contextlib.contextmanager
@@ -85,11 +81,11 @@ def encrypted(folder: Path) -> dict[str, str]:
 def test_the_example_of_a_cluster_with_tls_works(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    keys, *_ = blocks("sh")
+    keys, *_ = blocks(PAGE, "sh")
     command = ["bash", "-euc", keys]
     made = subprocess.run(command, cwd=tmp_path, capture_output=True, check=False)  # noqa: S603
     assert made.returncode == 0, made.stderr.decode()
-    settings = yaml.safe_load(blocks("yml")[0].replace("/secrets", str(tmp_path)))
+    settings = yaml.safe_load(blocks(PAGE, "yml")[0].replace("/secrets", str(tmp_path)))
     (tmp_path / "dask").mkdir()
     (tmp_path / "dask/tls.yaml").write_text(yaml.safe_dump(settings))
     surveys.write_cloud(tmp_path / "lines/1.laz", surveys.flightline(shots=25))

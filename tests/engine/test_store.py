@@ -59,22 +59,15 @@ def test_receipts_come_back_by_name_and_kind(tmp_path: Path) -> None:
     assert not receipt().failed
 
 
-@pytest.mark.parametrize(
-    "content", [b"", b"{", b"[1]", b'{"kind": "gather"}', b"\xff\xfe", b"[" * 50_000]
-)
-def test_half_a_receipt_is_no_receipt(tmp_path: Path, content: bytes) -> None:
-    store = Store(tmp_path)
-    write_receipt(store, receipt("a"))
-    store.receipt("gather", "a").write_bytes(content)
-    assert read_receipt(store, "gather", "a") is None
-
-
-def test_an_altered_receipt_is_no_receipt(tmp_path: Path) -> None:
+def test_half_a_receipt_or_an_altered_one_is_none(tmp_path: Path) -> None:
     store = Store(tmp_path)
     write_receipt(store, receipt("a"))
     path = store.receipt("gather", "a")
-    path.write_text(path.read_text().replace('"wall_s": 0.5', '"wall_s": 0.6'))
-    assert read_receipt(store, "gather", "a") is None
+    altered = path.read_bytes().replace(b'"wall_s": 0.5', b'"wall_s": 0.6')
+    halves = b"", b"{", b"[1]", b'{"kind": "gather"}', b"\xff\xfe", b"[" * 50_000
+    for content in (*halves, altered):
+        path.write_bytes(content)
+        assert read_receipt(store, "gather", "a") is None, content[:20]
 
 
 def test_a_damaged_file_is_made_again_so_often_and_then_given_up(tmp_path: Path) -> None:

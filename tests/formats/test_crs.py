@@ -29,12 +29,12 @@ from spl_batch.formats.heights import (
     completed,
     heights_fault,
     heights_ratio,
-    other_heights,
     same_heights,
     with_vertical,
 )
 from spl_batch.formats.rasters.geotiff import write_cog
-from spl_batch.formats.units import US_FOOT, Units
+from spl_batch.formats.units import COMMON, US_FOOT, Units
+from tests.io_files import geo_keys
 
 
 @pytest.mark.parametrize(
@@ -160,23 +160,30 @@ def test_what_is_no_vertical_crs_of_the_files_is_refused(
 
 
 def _keys(*keys: tuple[int, int]) -> CRS | None:
-    values = [1, 1, 0, len(keys), *(v for key, value in keys for v in (key, 0, 1, value))]
-    return crs_from_geotiff(np.array(values, "<u2").tobytes(), b"", b"")
+    return crs_from_geotiff(geo_keys(*keys), b"", b"")
 
 
 @pytest.mark.parametrize(
-    "vertical_keys", [((4096, 6360), (4099, 9003)), ((4099, 9003),), ((4096, 5703), (4099, 9003))]
+    ("keys", "unit", "fits", "other"),
+    [
+        ([(4096, 6360), (4099, 9003)], US_FOOT, 6360, 5703),
+        ([(4099, 9003)], US_FOOT, 6360, 5703),
+        ([(4096, 5703), (4099, 9003)], US_FOOT, 6360, 5703),
+        ([(4096, 5703), (4099, 9001)], "metre", 5703, 5773),
+        ([(4099, 9001)], "metre", 5703, 6360),
+    ],
 )
 def test_heights_of_geotiff_keys_are_in_the_unit_that_they_state(
-    vertical_keys: tuple[tuple[int, int], ...],
+    keys: list[tuple[int, int]], unit: str, fits: int, other: int
 ) -> None:
-    crs = _keys((1024, 1), (3072, 32615), *vertical_keys)
-    units = Units.of(crs)
-    assert (units.horizontal, units.vertical) == ("metre", "US survey foot")
-    named = with_vertical(crs, "EPSG:6360", "survey.vertical_crs")
-    assert vertical(named).to_epsg() == 6360
-    with pytest.raises(WorkflowError):
-        with_vertical(crs, "EPSG:5703", "survey.vertical_crs")
+    crs = _keys((1024, 1), (3072, 32615), *keys)
+    assert Units.of(crs) == Units(vertical=unit, vertical_m=COMMON[unit])
+    assert (vertical(crs) is None) == (keys == [(4099, 9001)]), "a metre alone is no vertical CRS"
+    named = with_vertical(crs, f"EPSG:{fits}", "survey.vertical_crs")
+    assert vertical(named).to_epsg() == fits
+    if vertical(crs) is not None:
+        with pytest.raises(WorkflowError):
+            with_vertical(crs, f"EPSG:{other}", "survey.vertical_crs")
 
 
 @pytest.mark.parametrize(("unit", "code", "name"), [(9002, 8228, "ft"), (9003, 6360, "ftUS")])
@@ -202,8 +209,7 @@ def test_every_unit_of_geotiff_keys_counts_more_than_that_of_the_code(
 
 
 def test_keys_that_are_padded_are_read_as_far_as_they_are_counted() -> None:
-    keys = [1, 1, 0, 3, 1024, 0, 1, 1, 3072, 0, 1, 32615, 4099, 0, 1, 9003, *[0] * 8]
-    crs = crs_from_geotiff(np.array(keys, "<u2").tobytes(), b"", b"")
+    crs = crs_from_geotiff(geo_keys((1024, 1), (3072, 32615), (4099, 9003)) + bytes(16), b"", b"")
     assert Units.of(crs) == Units(vertical=US_FOOT, vertical_m=1200 / 3937)
 
 
@@ -227,27 +233,10 @@ def test_a_code_of_metres_beside_keys_in_feet_is_not_taken() -> None:
     assert crs_from_wkt(own) == CRS.from_wkt(own.decode())
 
 
-def test_vertical_crs_of_geotiff_keys() -> None:
-    crs = _keys((1024, 1), (3072, 32615), (4096, 5703), (4099, 9001))
-    assert crs is not None
-    heights = vertical(crs)
-    assert heights is not None
-    assert heights.to_epsg() == 5703
-    with pytest.raises(WorkflowError):
-        with_vertical(crs, "EPSG:5773", "survey.vertical_crs")
-
-
 def test_heights_above_an_ellipsoid_are_in_the_unit_of_their_key() -> None:
     found = Units.of(_keys((1024, 1), (3072, 2278), (4096, 5030), (4099, 9003)))
     assert (found.horizontal, found.vertical) == (US_FOOT, US_FOOT)
     assert Units.of(_keys((1024, 1), (3072, 2278), (4096, 5030))).vertical == "metre"
-
-
-def test_a_unit_of_heights_alone_is_no_vertical_crs() -> None:
-    crs = _keys((1024, 1), (3072, 32615), (4099, 9001))
-    assert crs is not None
-    assert crs.to_epsg() == 32615
-    assert vertical(crs) is None
 
 
 def test_keys_with_numbers_and_names_of_their_own(tmp_path: Path) -> None:
@@ -266,21 +255,6 @@ def test_keys_with_numbers_and_names_of_their_own(tmp_path: Path) -> None:
     assert found.coordinate_operation == own.coordinate_operation
     bare = crs_from_geotiff(directory, b"", b"")
     assert bare is None or bare.coordinate_operation != own.coordinate_operation
-
-
-@pytest.mark.parametrize(
-    ("found", "differ"),
-    [
-        ("EPSG:2154+5703", False),
-        ("EPSG:32615", False),
-        ("EPSG:2154+5773", True),
-        ("EPSG:4979", True),
-    ],
-)
-def test_heights_that_are_not_the_surveys(found: str, *, differ: bool) -> None:
-    said = other_heights(CRS.from_user_input(found), CRS.from_user_input("EPSG:32615+5703"))
-    assert bool(said) == differ
-    assert bool(re.search("EPSG:5773|above the ellipsoid .*EPSG:4979", said)) == differ
 
 
 @pytest.mark.parametrize(

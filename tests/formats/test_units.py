@@ -1,6 +1,7 @@
 """Feet: what is read is metres, what is written is the CRS's unit, and nothing is guessed."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import laspy
 import numpy as np
@@ -30,6 +31,26 @@ from tests.formats.test_geoid import write_grid
 US_M = 1200 / 3937
 TEXAS, OREGON, MIXED = "EPSG:2278+6360", "EPSG:2992+8228", "EPSG:2278+5703"
 IN_FEET = [(TEXAS, US_M, US_M), (OREGON, FOOT_M, FOOT_M), (MIXED, US_M, 1.0)]
+
+
+class Cell(NamedTuple):
+    """What a raster of one cell says of itself."""
+
+    crs: CRS
+    unit: str
+    value: float
+
+
+def one_cell(path: Path, crs: str) -> Cell:
+    """Write a raster of one height."""
+    height = np.array([[812.5]], np.float32)
+    place = {"shape": (1, 1), "origin_xy_m": (4.0, 9.0)}
+    write_cog(path, height, crs=crs, description="", unit="m", **place)  # type: ignore[arg-type]
+    part = read_part(path, (4.1, 8.1, 4.2, 8.2))
+    assert part is not None
+    np.testing.assert_allclose(part.values, height, rtol=1e-6)
+    with rasterio.open(path) as source:
+        return Cell(CRS.from_wkt(source.crs.to_wkt()), source.units[0], source.read(1)[0, 0])
 
 
 @pytest.mark.parametrize(
@@ -145,17 +166,8 @@ def test_a_crs_in_another_unit_is_epsgs_twin(text: str, unit: str, twin: str) ->
 
 
 def test_a_raster_of_heights_above_the_ellipsoid_has_its_crs(tmp_path: Path) -> None:
-    deep = CRS("EPSG:6588").to_3d()
-    write_cog(
-        tmp_path / "dtm", np.array([[812.5]], np.float32), shape=(1, 1), origin_xy_m=(4.0, 9.0),
-        crs=deep.to_wkt(), description="", unit="m",
-    )  # fmt: skip
-    with rasterio.open(tmp_path / "dtm") as source:
-        assert source.crs.to_epsg() == 6588
-        assert source.units == ("m",)
-    part = read_part(tmp_path / "dtm", (4.1, 8.1, 4.2, 8.2))
-    assert part is not None
-    np.testing.assert_allclose(part.values, 812.5, rtol=1e-6)
+    made = one_cell(tmp_path / "dtm", CRS("EPSG:6588").to_3d().to_wkt())
+    assert (made.crs.to_epsg(), made.unit) == (6588, "m")
 
 
 @pytest.mark.parametrize("version", ["WKT2_2019", "WKT1_GDAL"])
@@ -166,15 +178,9 @@ def test_a_raster_of_heights_above_the_ellipsoid_has_its_crs(tmp_path: Path) -> 
 def test_a_raster_names_the_parts_of_a_crs_with_a_code_of_its_own(
     tmp_path: Path, text: str, version: str, codes: list[int]
 ) -> None:
-    crs, path = CRS.from_user_input(text).to_wkt(version), tmp_path / "dtm"
+    found = CRS.from_user_input(text)
     for _ in range(2):  # as a client's tile is cut out of another raster
-        write_cog(
-            path, np.array([[812.5]], np.float32), shape=(1, 1), origin_xy_m=(4.0, 9.0), crs=crs,
-            description="", unit="m",
-        )  # fmt: skip
-        with rasterio.open(path) as source:
-            crs = source.crs.to_wkt()
-        found = CRS.from_wkt(crs)
+        found = one_cell(tmp_path / "dtm", found.to_wkt(version)).crs
         assert [part.to_epsg() for part in (horizontal(found), vertical(found))] == codes
 
 
@@ -193,15 +199,9 @@ def test_a_raster_names_the_parts_of_a_crs_with_a_code_of_its_own(
 def test_a_raster_names_the_datum_of_heights_in_any_unit(
     tmp_path: Path, text: str, datum: str, unit: str
 ) -> None:
-    crs, path = in_unit(CRS.from_user_input(text), NAMES[unit]).to_wkt(), tmp_path / "dtm"
+    found = in_unit(CRS.from_user_input(text), NAMES[unit])
     for _ in range(2):
-        write_cog(
-            path, np.array([[812.5]], np.float32), shape=(1, 1), origin_xy_m=(4.0, 9.0), crs=crs,
-            description="", unit="m",
-        )  # fmt: skip
-        with rasterio.open(path) as source:
-            crs = source.crs.to_wkt()
-        found = CRS.from_wkt(crs)
+        found = one_cell(tmp_path / "dtm", found.to_wkt()).crs
         assert vertical(found).datum.name == datum
         assert Units.of(found).vertical == NAMES[unit]
 
@@ -209,12 +209,6 @@ def test_a_raster_names_the_datum_of_heights_in_any_unit(
 @pytest.mark.parametrize("name", ["unknown", "World Geodetic System 1984"])
 def test_a_raster_names_no_datum_that_heights_have_not(tmp_path: Path, name: str) -> None:
     heights = in_unit(CRS(SOME_HEIGHTS.to_wkt().replace("unknown", name)), US_FOOT)
-    crs = compound(CRS("EPSG:2278"), heights).to_wkt()
-    write_cog(
-        tmp_path / "dtm", np.array([[812.5]], np.float32), shape=(1, 1), origin_xy_m=(4.0, 9.0),
-        crs=crs, description="", unit="m",
-    )  # fmt: skip
-    with rasterio.open(tmp_path / "dtm") as source:
-        found = CRS.from_wkt(source.crs.to_wkt())
+    found = one_cell(tmp_path / "dtm", compound(CRS("EPSG:2278"), heights).to_wkt()).crs
     assert not names_datum(found)
     assert Units.of(found).vertical == US_FOOT

@@ -14,6 +14,7 @@ from numba import njit
 from numba.core import types
 from numba.core.caching import IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
+from numba.core.registry import cpu_target
 
 import spl_batch
 from spl_batch.airborne.filter.ellipsoid.spacing import walk
@@ -171,6 +172,58 @@ def test_linked_code_is_taken_in_and_never_made_ready_to_run() -> None:
     assert isinstance(library, LinkedLibrary)
     kind = library.serialize_using_object_code()[1]
     assert kind == "bitcode"
+
+
+@compiled.njit()
+def short_rows(rows):  # type: ignore[no-untyped-def]
+    return np.zeros(rows, np.int16)
+
+
+@compiled.njit()
+def twice_as_short(rows):  # type: ignore[no-untyped-def]
+    return short_rows(rows).sum() + np.zeros(rows, np.int16).sum()
+
+
+def test_what_numba_has_for_kernels_is_linked_and_one_for_all() -> None:
+    for kernel in (short_rows.for_kernels, twice_as_short):
+        kernel._cache.disable()
+    assert twice_as_short(3) == 0
+    zeros = cpu_target.typing_context.resolve_value_type(np.zeros)
+    made = [
+        made
+        for template in zeros.templates
+        for (_, args, *_), (dispatcher, _) in template._impl_cache.items()
+        if args[1:] == (types.NumberClass(types.int16),)
+        for made in dispatcher.overloads.values()
+    ]
+    assert [type(one.library) for one in made] == [LinkedLibrary]
+
+
+def test_linked_code_is_loaded_as_it_was_kept() -> None:
+    sum_of_rows(2)
+    again = compiled.njit()(checked_rows.py_func)
+    again.get_call_template((types.int64,), {})
+    assert sum(again.for_kernels.stats.cache_hits.values()) == 1
+    assert type(again.for_kernels.overloads[(types.int64,)].library) is LinkedLibrary
+
+
+@compiled.njit(inline="always")
+def halved(number):  # type: ignore[no-untyped-def]
+    return number / 2
+
+
+@compiled.njit()
+def quartered(number):  # type: ignore[no-untyped-def]
+    return halved(halved(number))
+
+
+def test_what_is_always_inlined_is_compiled_once_and_inlined_by_llvm() -> None:
+    halved.for_kernels._cache.disable()
+    quartered._cache.disable()
+    assert quartered(3.0) == 0.75
+    (made,) = halved.for_kernels.overloads.values()
+    assert made.fndesc.inline
+    assert halved(3.0) == 1.5, "Python may call it all the same"
 
 
 def test_an_index_whose_types_are_gone_names_no_code(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from itertools import pairwise
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -85,23 +84,6 @@ def test_each_plane_is_that_of_its_set_alone(sizes: list[int], stray: float, see
         if alone is not None:
             assert plane[one].tolist() == alone[0]
             np.testing.assert_array_equal(weight[low:high], alone[1])
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_a_plane_is_found_among_returns_behind_it(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    u, v = rng.uniform(-2, 2, (2, 60))
-    w = 3 + 0.4 * u - 0.2 * v + rng.normal(0, 0.05, 60)
-    w[:15] += rng.exponential(0.8, 15) + 0.24
-    plane, weight, there = fitted([60], np.arange(60), u, v, w)
-    assert there[0]
-    assert plane[0] == pytest.approx([3, 0.4, -0.2], abs=0.1)
-    assert weight[15:].min() > 0.1
-
-
-def test_points_on_a_line_have_no_plane() -> None:
-    u = np.arange(9.0)
-    assert not fitted([9], np.arange(9), u, 2 * u, u)[2][0]
 
 
 @given(

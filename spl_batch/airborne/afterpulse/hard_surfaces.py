@@ -76,7 +76,9 @@ def candidates(
         low, high = shots[shot], shots[shot + 1]
         if high - low >= least:
             dcc_keep(w[low:high], rules.gate_m, rules.coarse_m, rules.fine_m, keep[low:high])
-    return keep & first
+    for i in range(len(first)):
+        keep[i] &= first[i]
+    return keep
 
 
 @njit()
@@ -120,7 +122,9 @@ def fit_surfaces(
             plane[one], distance[:size], rules.p68_max_m
         ):
             shot = owner[one]
-            found.trusted[shot], found.plane[shot] = True, plane[one]
+            found.trusted[shot] = True
+            for i in range(3):
+                found.plane[shot, i] = plane[one, i]
             found.spread[shot], found.size[shot] = spread(hard[:count], rules.sigma_m), size
     return found
 
@@ -162,8 +166,9 @@ def hard_surfaces(
     is infinite as published, where the 68th percentile alone decides.
     """
     found = fit_surfaces(shots, candidate, u, v, w, rules)
-    found.trusted[:] &= found.spread <= spread_max
-    chosen = _fullest(shots, w, candidate, ~found.trusted, 2.0 * rules.p68_max_m)
+    for shot in range(len(spread_max)):
+        found.trusted[shot] &= found.spread[shot] <= spread_max[shot]
+    chosen = _fullest(shots, w, candidate, found.trusted, 2.0 * rules.p68_max_m)
     grown = fit_surfaces(shots, chosen, u, v, w, rules)
     for _ in range(GROWN):
         chosen = _on_planes(shots, u, v, w, candidate, grown, rules)
@@ -175,17 +180,19 @@ def hard_surfaces(
             and grown.spread[shot] <= spread_max[shot]
             and _stands_out(grown.size[shot], rows, w, candidate, rules)
         ):
-            found.trusted[shot], found.plane[shot] = True, grown.plane[shot]
+            found.trusted[shot] = True
+            for i in range(3):
+                found.plane[shot, i] = grown.plane[shot, i]
             found.spread[shot], found.size[shot] = grown.spread[shot], grown.size[shot]
     return found
 
 
 @njit()
-def _fullest(shots, w, candidate, pending, width):  # type: ignore[no-untyped-def]
-    """Candidates in the fullest range window of pending shots: (n,) bool."""
+def _fullest(shots, w, candidate, settled, width):  # type: ignore[no-untyped-def]
+    """Candidates in the fullest range window of shots that are not settled: (n,) bool."""
     chosen, ranges = np.zeros(len(candidate), np.bool_), np.empty(len(candidate) + LANES)
-    for shot in range(len(pending)):
-        if pending[shot]:
+    for shot in range(len(settled)):
+        if not settled[shot]:
             count = 0
             for i in range(shots[shot], shots[shot + 1]):
                 ranges[count] = w[i]

@@ -53,7 +53,8 @@ def parents_of(
     ``order, start``: :class:`~spl_batch.airborne.beams.shot_runs.Beamlets`. It is at most ``lag``
     higher, and ``aside`` away [quanta]. Of two as high the one that is first in canonical order.
     """
-    out[:] = -1
+    for row in range(len(out)):
+        out[row] = -1
     for b in range(len(start) - 1):
         first, last = start[b], start[b + 1]
         for k in range(first, last if last > first + 1 else first):

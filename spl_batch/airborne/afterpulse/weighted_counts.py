@@ -62,7 +62,9 @@ def weigh_around(
     """
     xyz, starts, shape, edge = made.points, made.start, made.shape, made.edge
     wide, high = radii[0, 0], radii[0, 1]
-    across, up = 1.0 / radii[:, 0].astype(np.float64) ** 2, 1.0 / radii[:, 1] ** 2.0
+    across, up = np.empty(len(radii)), np.empty(len(radii))
+    for k in range(len(radii)):
+        across[k], up[k] = 1.0 / float(radii[k, 0]) ** 2, 1.0 / float(radii[k, 1]) ** 2
     room = most_around(starts, shape) + 2 * WHOLE
     near, mates, some = np.empty(room, np.uint64), np.empty(room, np.uint64), weight != 0
     flat, square, worth = np.zeros(room), np.zeros(room), np.zeros(room, np.int32)

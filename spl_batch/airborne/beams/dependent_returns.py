@@ -87,12 +87,15 @@ def inherit(
     """
     down = np.empty(len(order), np.int32)
     for b in range(len(start) - 1):
-        rows = order[start[b] : start[b + 1]]
-        if len(rows) < 2 or not dependent[rows].any():
+        any_dependent, size = False, 0
+        for place in range(start[b], start[b + 1]):
+            any_dependent |= dependent[order[place]]
+        if not any_dependent or start[b + 1] - start[b] < 2:
             continue
-        size = 0
-        for row in rows[usable[rows]]:
-            at = size
+        for place in range(start[b], start[b + 1]):
+            row, at = order[place], size
+            if not usable[row]:
+                continue
             while at > 0 and z[down[at - 1]] < z[row]:
                 down[at] = down[at - 1]
                 at -= 1

@@ -206,7 +206,7 @@ def depths_below(off: Float, x: Float, y: Float, frame: Blocks | None = None) ->
     """
     if frame is None:
         frame = no_depths(x, y)
-    _count_depths(off, x, y, *frame)
+    _count_depths(off, np.ascontiguousarray(x), np.ascontiguousarray(y), *frame)
     return frame
 
 

@@ -68,7 +68,9 @@ def in_pits(
     out : (m,) bool, written
         True for a node in a pit.
     """
-    lowest = np.full(rows * columns, -1, dtype=np.int64)
+    lowest = np.empty(rows * columns, np.int64)
+    for i in range(len(lowest)):
+        lowest[i] = -1
     for i in range(len(cell) - 1, -1, -1):
         lowest[cell[i]] = i
     most = ((2 * reach + 1) ** 2 - 1) // 2

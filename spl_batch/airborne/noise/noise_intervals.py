@@ -50,35 +50,39 @@ def _significant(count: int, n: int, width: float, extent: float) -> bool:
 def signal_heights(
     z: NDArray[np.float64],
     order: NDArray[np.int64],
+    before: int,
     group: NDArray[np.int64],
-    n_groups: int,
     width: float,
-) -> NDArray[np.float64]:
-    """Height of the signal in each group of one interval: (n_groups,) float64 [m].
+    out: NDArray[np.float64],
+) -> None:
+    """Height of the signal in each group of one interval: fills ``out`` (n_groups,) [m].
 
     The group's own peak where it is beyond chance, else the interval's, else the median: unlike a
     chance peak it does not select noise.
 
-    ``order``: returns by increasing height; ``group``: of each return.
+    ``order``: returns by increasing height, less the rows ``before`` the interval; ``group``: of
+    each return.
     """
-    everything = z[order]
+    everything, n_groups = np.empty(len(z), np.float64), len(out)
+    for i in range(len(z)):
+        everything[i] = z[order[i] - before]
     extent = everything[-1] - everything[0]
     height, count = densest_window(everything, width)
     if not _significant(count, len(z), width, extent):
         height = everything[len(z) // 2]
-    out = np.full(n_groups, height)
+    out[0] = height
     if n_groups == 1:
-        return out
+        return
     # Returns by group, in one pass that keeps their order.
     stop = np.zeros(n_groups + 1, dtype=np.int64)
     for g in group:
         stop[g + 1] += 1
+    at, grouped = np.empty(n_groups, np.int64), np.empty(len(z), np.float64)
     for g in range(n_groups):
+        out[g], at[g] = height, stop[g]
         stop[g + 1] += stop[g]
-    at, grouped = np.zeros(n_groups, np.int64), np.empty(len(z))
-    for g in range(n_groups):
-        at[g] = stop[g]
-    for i in order:
+    for row in order:
+        i = row - before
         grouped[at[group[i]]] = z[i]
         at[group[i]] += 1
     for g in range(n_groups):
@@ -87,7 +91,6 @@ def signal_heights(
             peak, count = densest_window(own, width)
             if _significant(count, len(own), width, extent):
                 out[g] = peak
-    return out
 
 
 @njit()
@@ -114,12 +117,16 @@ def signal_depths(
     """
     for m in range(len(starts) - 1):
         rows, n_groups = slice(starts[m], starts[m + 1]), first[m + 1] - first[m]
-        group = offset[rows] * n_groups // interval_shots
-        heights = signal_heights(z[rows], order[rows] - starts[m], group, n_groups, width)
-        height[first[m] : first[m + 1]] = heights
+        group = np.empty(starts[m + 1] - starts[m], np.int64)
+        for k in range(len(group)):
+            group[k] = offset[starts[m] + k] * n_groups // interval_shots
+        heights = height[first[m] : first[m + 1]]
+        signal_heights(z[rows], order[rows], starts[m], group, width, heights)
         found = summary[m]
-        found[:4] = 0.0
-        found[4::2], found[5::2] = np.inf, -np.inf
+        for c in range(4):
+            found[c] = 0.0
+        for c in range(4, 10, 2):
+            found[c], found[c + 1] = np.inf, -np.inf
         for k in range(len(group)):
             i, signal = starts[m] + k, heights[group[k]]
             below[i] = signal - z[i]
@@ -131,7 +138,8 @@ def signal_depths(
             for c, value in ((4, range_m[i]), (6, z[i]), (8, behind)):
                 found[c] = min(found[c], value)
                 found[c + 1] = max(found[c + 1], value)
-        found[:4] /= len(group)
+        for c in range(4):
+            found[c] /= len(group)
         found[3] = np.sqrt(max(found[3] - (found[0] - heights[0]) ** 2, 0.0))
 
 

@@ -152,6 +152,21 @@ def deposit_steep(
 
 
 @njit()
+def _steep_first(direction: NDArray[np.float64], least: float) -> tuple[NDArray[np.int64], int]:
+    """Rows of steep beams, ascending, then the others, descending; how many are steep."""
+    order, steep, others = np.empty(len(direction), np.int64), 0, len(direction)
+    for row in range(len(direction)):
+        x, y, z = abs(direction[row, 0]), abs(direction[row, 1]), abs(direction[row, 2])
+        if z >= max(x, y, least):
+            order[steep] = row
+            steep += 1
+        else:
+            others -= 1
+            order[others] = row
+    return order, steep
+
+
+@njit()
 def deposit_beamlets(
     voxel: NDArray[np.int64],
     point: NDArray[np.float64],
@@ -178,21 +193,26 @@ def deposit_beamlets(
     which touch each sphere, of shots numbered by ``ordinal``, and, by ``share``, ``squares`` (nx,
     ny, nz, 16), up to :data:`MOST`; see :func:`cover`.
     """
-    steep = np.zeros(len(weight), np.bool_)
-    if squares.size and not beamlets.size:
-        across = np.maximum(np.abs(direction[:, 0]), np.abs(direction[:, 1]))
-        steep = np.abs(direction[:, 2]) >= np.maximum(across, steepness(edge, radius))
-        deposit_steep(
-            np.flatnonzero(steep), voxel, point, direction, near, far, weight, edge, radius,
-            amount, share, squares,
-        )  # fmt: skip
-    last_shot = np.full(beamlets.shape, -1, dtype=np.int64)
+    least = steepness(edge, radius) if squares.size and not beamlets.size else np.inf
+    order, steep = _steep_first(direction, least)
+    deposit_steep(
+        order[:steep], voxel, point, direction, near, far, weight, edge, radius, amount, share,
+        squares,
+    )  # fmt: skip
+    last_shot = np.empty(beamlets.shape, np.int64)
+    last_of = last_shot.reshape(-1)
+    for k in range(len(last_of)):
+        last_of[k] = -1
     index = np.empty(3, dtype=np.int64)
-    for row in np.flatnonzero(~steep):
+    for back in range(len(weight) - 1, steep - 1, -1):
+        row = order[back]
         at, ray, start, stop = point[row], direction[row], near[row], far[row]
         if squares.size:
             cover(voxel[row], at, ray, start, stop, edge, radius, share[row], squares)
-        axis = 2 - np.argmax(np.abs(ray[::-1]))
+        axis = 2
+        for other in (1, 0):
+            if abs(ray[other]) > abs(ray[axis]):
+                axis = other
         p, q, along = (axis + 1) % 3, (axis + 2) % 3, ray[axis]
         ends = (at[axis] + start * along, at[axis] + stop * along)
         for layer in range(

@@ -130,7 +130,8 @@ def robust_cell_means(
         begin, end = start[cell], start[cell + 1]
         n = end - begin
         if n == 0:
-            means[cell] = np.nan
+            for axis in range(3):
+                means[cell, axis] = np.nan
             continue
         middle2 = np.int64(z[begin + (n - 1) // 2]) + np.int64(z[begin + n // 2])
         limit2 = max(3.0 * 1.4826 * _spread2(z, begin, end, middle2), 2.0 * floor)

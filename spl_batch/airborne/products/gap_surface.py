@@ -192,7 +192,9 @@ def _add_plates(
         n = _rim_around(nodes[k], blocks, window, points)
         if n < _ENOUGH or not fit_plate(points[:n], _STIFFNESS, plate[: n + 3]):
             continue
-        low, high = points[:n, 2].min(), points[:n, 2].max()
+        low, high = points[0, 2], points[0, 2]
+        for i in range(1, n):
+            low, high = min(low, points[i, 2]), max(high, points[i, 2])
         r0, c0 = nodes[k, 0] * block - first[0], nodes[k, 1] * block - first[1]
         for r in range(max(r0 - reach, 0), min(r0 + reach, rows)):
             for c in range(max(c0 - reach, 0), min(c0 + reach, columns)):
@@ -216,12 +218,11 @@ def _rim_around(node: NDArray[np.int64], blocks: Grid, window: int, points: Grid
             if blocks[i, j, 3] == 0:
                 continue
             held, cells = held + 1, cells + blocks[i, j, 3]
-            around = blocks[
-                max(i - _RIM, south) : min(i + _RIM + 1, north),
-                max(j - _RIM, west) : min(j + _RIM + 1, east),
-                3,
-            ]
-            if around.min() == 0 and not np.isnan(blocks[i, j, 2]):
+            empty = 0
+            for row in range(max(i - _RIM, south), min(i + _RIM + 1, north)):
+                for column in range(max(j - _RIM, west), min(j + _RIM + 1, east)):
+                    empty += blocks[row, column, 3] == 0
+            if empty and not np.isnan(blocks[i, j, 2]):
                 points[n, 0], points[n, 1] = blocks[i, j, 0] - node[1], blocks[i, j, 1] - node[0]
                 points[n, 2] = blocks[i, j, 2]
                 n += 1

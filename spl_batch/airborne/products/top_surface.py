@@ -174,12 +174,13 @@ def confirmed_tops(
     ``ground``: returns that need no confirmation and give none; ``grid``: cells of a row, and their
     edge [quanta].
     """
-    cap2, ratio2, limit = (
-        float(by.radius.max()) ** 2,
-        by.peer_ratio**2,
-        by.radius.astype(np.float64) ** 2,
-    )
-    nearest, spacing = np.empty(by.neighbours), np.full(len(xyz), np.nan)
+    cap2, ratio2, limit = 0.0, by.peer_ratio**2, np.empty(len(by.radius))
+    for scale in range(len(limit)):
+        limit[scale] = float(by.radius[scale]) ** 2
+        cap2 = max(cap2, limit[scale])
+    nearest, spacing = np.empty(by.neighbours), np.empty(len(xyz))
+    for p in range(len(xyz)):
+        spacing[p] = np.nan
     for cell in range(len(tops)):
         tops[cell] = np.nan
         for p in range(start[cell], start[cell + 1]):
@@ -228,7 +229,8 @@ def _find_spacing(xyz, start, grid, p, cell, cap2, nearest, spacing):  # type: i
     cols, size = grid
     rows, row, col = (len(start) - 1) // cols, cell // cols, cell % cols
     last = len(nearest) - 1
-    nearest[:] = cap2
+    for k in range(len(nearest)):
+        nearest[k] = cap2
     west, south = np.float64(xyz[p, 0] - col * size), np.float64(xyz[p, 1] - row * size)
     aside = min(west, size - west, south, size - south)
     ring = 0

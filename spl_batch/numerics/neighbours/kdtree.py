@@ -118,7 +118,8 @@ def nth_distance(points, boxes, depth, node, x, y, z, limit, wide, least, neares
     """
     n, first = np.uint64(points.shape[1]), U1 << depth
     last = len(nearest) - 1
-    nearest[:] = np.inf
+    for k in range(len(nearest)):
+        nearest[k] = np.inf
     stack[0] = climb = node
     while True:
         top = U1

@@ -250,7 +250,8 @@ def neighbours_of_leaves(  # type: ignore[no-untyped-def]  # noqa: C901
     box, numbers = np.empty(6), np.empty(LISTED + LANES, np.uint64)
     stack, beside = np.empty(64, np.uint64), np.zeros((4, BESIDE))
     reached = np.empty(LISTED + LANES, np.uint64)
-    beside[3] = FAR
+    for other in range(BESIDE):
+        beside[3, other] = FAR
     start, _ = leaf_slots(leaves[0], depth, n)
     turn = U0
     for leaf in range(leaves[0], leaves[1]):

@@ -146,11 +146,12 @@ def _enclosed(
 
     ``wide``: (t, 3), edges across from each corner; ``beside``: (m, 4), vertices along each border.
     """
-    kept = np.ones(len(facets), np.bool_)
+    kept = np.empty(len(facets), np.bool_)
     asked = np.empty(4 * len(facets), np.int64)
     n = 0
     for t in range(len(facets)):
-        if neighbours[t].min() < 0:
+        kept[t] = True
+        if neighbours[t, 0] < 0 or neighbours[t, 1] < 0 or neighbours[t, 2] < 0:
             asked[n] = t
             n += 1
     while n:
@@ -161,8 +162,11 @@ def _enclosed(
             if not kept[t] or not wide[t, k] or (across >= 0 and kept[across]):
                 continue
             a, b = facets[t, (k + 1) % 3], facets[t, (k + 2) % 3]
-            kept[t] = across < 0 and (beside[a] & beside[b]).any()
-            for near in neighbours[t]:
+            kept[t] = False
+            for border in range(4):
+                kept[t] |= across < 0 and beside[a, border] and beside[b, border]
+            for side in range(3):
+                near = neighbours[t, side]
                 if not kept[t] and near >= 0 and kept[near]:
                     asked[n] = near
                     n += 1

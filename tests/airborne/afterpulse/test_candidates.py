@@ -178,11 +178,6 @@ def test_vegetation_is_left_to_the_space_domain() -> None:
     assert followers.mean() > p[kind == 0].mean()
 
 
-def test_afterpulses_go_where_all_beamlets_see_the_surface() -> None:
-    table, track, kind = shots(level, detection=1.0, afterpulses=0.2, number=10)
-    assert (found(table, track)[kind == 1] >= 0.5).mean() >= 0.85
-
-
 @pytest.mark.parametrize("longest", [0.8, 3.0])
 def test_no_return_is_an_afterpulse_farther_behind_than_the_longest_lag(longest: float) -> None:
     # The bottom of water would be, as far as settings look behind a hard surface.

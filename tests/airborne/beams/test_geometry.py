@@ -20,16 +20,6 @@ def points(**columns: object) -> PointTable:
     )
 
 
-def test_beam_joins_the_trajectory_with_the_point() -> None:
-    track = Trajectory(np.array([0.0, 1.0]), np.array([[0.0, 0, 1000], [100.0, 0, 1000]]))
-    table = points(x=[53_000, 0], y=[4_000, 0], z=[0, 0], gps_time=[0.5, 7.0])
-    beams = geometry.beams(table, track)
-    assert beams.known.tolist() == [True, False]
-    assert beams.origin_m[0] == pytest.approx([50, 0, 1000])
-    assert beams.range_m[0] == pytest.approx(np.sqrt(9 + 16 + 1e6))
-    assert beams.direction[0] * beams.range_m[0] == pytest.approx([3, 4, -1000])
-
-
 @given(st.integers(0, 10_000))
 def test_beams_of_shots_are_those_of_their_points(seed: int) -> None:
     rng = np.random.default_rng(seed)

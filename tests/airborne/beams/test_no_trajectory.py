@@ -1,6 +1,5 @@
 """Without a trajectory the sensor is where lines of sight meet, and tiles do not matter."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from tests.surveys import (
     assert_same_labels,
     copy_of,
     labels,
+    report,
     run,
     small_survey,
 )
@@ -36,8 +36,8 @@ def test_labels_are_the_same_for_two_sizes_of_tiles(tmp_path: Path) -> None:
 
 def sensor_was_found_by_intersection(output: Path) -> None:
     """The report says so of both flightlines, and the paths are those that were flown."""
-    report = json.loads((output / "report.json").read_text(encoding="utf-8"))
-    assert [line["beam_basis"] for line in report["survey"]["flightlines"]] == ["intersection"] * 2
+    lines = report(output)["survey"]["flightlines"]
+    assert [line["beam_basis"] for line in lines] == ["intersection"] * 2
     paths = sorted((output / "store" / "paths").glob("*.parquet"))
     for start_s, path in zip((START_S, START_S + 3.0), paths, strict=True):
         # A knot a second; the pass is over after the first.

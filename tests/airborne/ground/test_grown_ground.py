@@ -194,16 +194,6 @@ def test_the_rim_of_a_low_cliff_on_a_slope_is_ground() -> None:
     assert ground_of(table(x, y, z))[near].mean() > 0.7
 
 
-def test_the_corner_of_a_plateau_is_ground() -> None:
-    rng = np.random.default_rng(7)
-    x, y = rng.uniform(0, 140, (2, 30_000))
-    plateau = (x < 70 + 0.3 * y) & (y < 90)
-    found = ground_of(table(x, y, 14.0 * plateau + rng.normal(0, 0.03, len(x))))
-    tip = plateau & (y > 80) & (x > 82)
-    assert tip.sum() > 150
-    assert found[tip].mean() > 0.8
-
-
 @pytest.mark.parametrize(("behind_m", "grows"), [(0.6, True), (0.0, False), (-3.0, True)])
 def test_ground_grows_up_no_shrub_but_to_crests_and_rims(behind_m: float, *, grows: bool) -> None:
     x, y = (along.ravel() for along in np.meshgrid(np.arange(-5.0, 6.0), np.arange(-5.0, 6.0)))

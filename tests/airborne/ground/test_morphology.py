@@ -33,14 +33,6 @@ def test_octagon_is_nearly_a_disk() -> None:
         assert footprint(radius).sum() == pytest.approx(np.pi * radius**2, rel=0.25)
 
 
-def test_opening_is_idempotent_and_below() -> None:
-    surface = np.random.default_rng(4).normal(size=(50, 50)).astype(np.float32)
-    once = opening(surface, 3)
-    assert np.all(once <= surface)
-    inner = slice(12, -12)
-    assert np.array_equal(opening(once, 3)[inner, inner], once[inner, inner])
-
-
 @pytest.mark.parametrize("rough", [0.3, 0.6, 1.0])
 @pytest.mark.parametrize(("cell_m", "step_m"), [(1.0, 1.2), (0.5, np.inf)])
 def test_objects_fall_from_one_opening_to_the_next(

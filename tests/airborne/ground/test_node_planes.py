@@ -167,11 +167,3 @@ def test_the_next_layer_over_grass_is_full_and_over_soil_empty():
     assert ends_within(soil, reach_m).all()
     assert not ends_within(grass, reach_m).any()
     assert not ends_within(soil, reach_m + 0.06).any()  # twice as much is not counted
-
-
-def test_an_exact_slope_goes_on_to_every_node():
-    xyz = nodes(slope=1.0)
-    everywhere, few = np.arange(len(xyz)), np.full(len(xyz), 0.05)
-    around = nearest(xyz)
-    inner = np.abs(xyz[:, :2] - 15).max(axis=1) < 12
-    assert goes_on(xyz, around, np.ones(len(xyz)), 0 * few, few, everywhere)[inner].all()

@@ -5,26 +5,8 @@ import numpy as np
 from spl_batch.airborne.ground.smrf import (
     fill_gaps,
     low_outliers,
-    object_cells,
     provisional_terrain,
 )
-
-
-def test_objects_by_size_and_height() -> None:
-    surface = np.add.outer(np.zeros(60), 0.1 * np.arange(60))
-    surface[10:16, 10:16] += 4
-    surface[30:50, 20:50] += 4
-    small = object_cells(surface, 1.0, 0.15, 5.0)
-    assert small[10:16, 10:16].all()
-    assert not small[32:48, 22:48].any()
-    assert object_cells(surface, 1.0, 0.15, 20.0)[30:50, 20:50].all()
-
-
-def test_a_step_limit_finds_low_wide_objects() -> None:
-    surface = np.zeros((100, 100))
-    surface[25:76, 25:76] = 5.0
-    assert not object_cells(surface, 1.0, 0.25, 30.0)[50, 50]
-    assert object_cells(surface, 1.0, 0.25, 30.0, step_m=3.0)[50, 50]
 
 
 def test_low_outliers_are_pits() -> None:

@@ -79,7 +79,7 @@ def slow_level(x: NDArray[np.int64], y: NDArray[np.int64], z: NDArray[np.int64])
 def test_levels_are_those_of_a_slow_twin_in_any_order(seed: int, n: int, spread: int) -> None:
     rng = np.random.default_rng(seed)
     x, y = rng.integers(-spread * 1000, spread * 1000, (2, n))
-    z = rng.choice([0, 100, 140, 2000], n) + rng.integers(0, 60, n)
+    z = rng.choice([0, 100, 140, 400, 2000], n) + rng.integers(0, 60, n)
     found = water_level(x, y, z)
     np.testing.assert_array_equal(found, slow_level(x, y, z))
     order = rng.permutation(n)
@@ -95,29 +95,6 @@ def clear_water(rng: np.random.Generator, share: float, fall: float = 0.0) -> tu
     return x, y, z, level
 
 
-@pytest.mark.parametrize(("share", "fall"), [(0.1, 0.0), (0.9, 0.0), (0.15, 0.005)])
-def test_the_surface_of_clear_water_is_its_level(share: float, fall: float) -> None:
-    rng = np.random.default_rng(1)
-    x, y, z, level = clear_water(rng, share, fall)
-    found = water_level(*quantised(x, y, z)) / 1000
-    off = np.abs(found - level)
-    inner = (x > 27.5) & (x < EDGE_M - 27.5)
-    # a cell is 5 m long, and holds one level
-    assert off[inner].max() < 0.03 + 5 * fall
-    assert off.max() < 0.03 + 17.5 * fall
-
-
-def test_decks_crowns_and_noise_above_do_not_lift_the_level() -> None:
-    rng = np.random.default_rng(2)
-    x, y, z, level = clear_water(rng, 0.15)
-    deck = (np.abs(x - 50) < 6) | (np.hypot(x - 20, y - 20) < 5)
-    z[deck] = level[deck] + 6 + rng.normal(0, RANGING_SD_M, int(deck.sum()))
-    stray = rng.random(len(x)) < 0.002
-    z[stray] = level[stray] + rng.uniform(0, 100, int(stray.sum()))
-    found = water_level(*quantised(x, y, z)) / 1000
-    assert np.abs(found - level).max() < 0.03
-
-
 def test_crowns_over_most_of_a_creek_do_not_lift_its_level() -> None:
     rng = np.random.default_rng(5)
     x, y = rng.uniform(0, (EDGE_M, 8.0), (int(20 * EDGE_M * 8), 2)).T
@@ -127,17 +104,6 @@ def test_crowns_over_most_of_a_creek_do_not_lift_its_level() -> None:
     z[leaf] = level[leaf] + rng.uniform(1.5, 9, int(leaf.sum()))
     found = water_level(*quantised(x, y, z)) / 1000
     assert np.abs(found - level).max() < 0.25
-
-
-def test_a_pond_beside_a_lake_keeps_its_own_level() -> None:
-    rng = np.random.default_rng(3)
-    x, y, z, level = clear_water(rng, 0.5)
-    pond = (x > 80) & (y > 80)
-    z[pond], level[pond] = z[pond] - 4, level[pond] - 4
-    dam = ~pond & (x > 70) & (y > 70)
-    x, y, z, level = (v[~dam] for v in (x, y, z, level))
-    found = water_level(*quantised(x, y, z)) / 1000
-    assert np.abs(found - level).max() < 0.03
 
 
 def lake() -> tuple[PointTable, NDArray[np.bool_], NDArray[np.bool_]]:

@@ -183,12 +183,9 @@ def test_breaklines_of_one_survey_in_feet_may_be_in_none_of_its_heights(tmp_path
 
 
 def test_a_field_gives_the_height_and_another_crs_is_transformed(tmp_path: Path) -> None:
+    ring = shapely.Polygon([(-93.0, 45.0), (-92.99, 45.0), (-92.99, 45.01), (-93.0, 45.0)])
     path = tmp_path / "lakes.geojson"
-    ring = [(-93.0, 45.0), (-92.99, 45.0), (-92.99, 45.01), (-93.0, 45.0)]
-    pyogrio.raw.write(
-        path, shapely.to_wkb(np.array([shapely.Polygon(ring)], object)), [np.array([211.5])],
-        ["Elevation"], geometry_type="Polygon", crs="EPSG:4326", driver="GeoJSON",
-    )  # fmt: skip
+    surveys.write_shapes(path, [ring], "EPSG:4326", Elevation=[211.5])
     (lake,) = read_breaklines(path, UTM)
     assert lake.level_m == 211.5
     assert shapely.get_coordinates(lake.area)[0] == pytest.approx((500_000, 4_982_950), abs=1)
@@ -196,11 +193,8 @@ def test_a_field_gives_the_height_and_another_crs_is_transformed(tmp_path: Path)
 
 @pytest.mark.parametrize(("field", "clash"), [(211.5, True), (0.01, False), (np.nan, False)])
 def test_a_field_does_not_contradict_the_vertices(tmp_path: Path, field, clash) -> None:
-    path = tmp_path / "lakes.gpkg"
-    lake = shapely.to_wkb(np.array([shapely.force_3d(shapely.box(0, 0, 9, 9), 0.0)], object))
-    pyogrio.raw.write(
-        path, lake, [np.array([field])], ["z"], geometry_type="Polygon Z", crs=UTM.to_wkt()
-    )
+    lake = shapely.force_3d(shapely.box(0, 0, 9, 9), 0.0)
+    path = surveys.write_shapes(tmp_path / "lakes.gpkg", [lake], UTM, z=[field])
     if clash:
         with pytest.raises(InputError, match=r"lie at 0\.00 m to 0\.00 m, its field .* 211\.50 m"):
             read_breaklines(path, UTM)

@@ -99,20 +99,11 @@ def test_flightlines_that_overlap_without_patches_are_known() -> None:
     crowns = two_strips(Shift(), heights=lambda x, _: rng.uniform(0, 12, len(x)))
     apart = two_strips(Shift())
     apart = apart.take((apart["line"] == 1) ^ (apart["x"] > np.median(apart["x"])))
-    for points, met in ((crowns, {(0, 1)}), (apart, set())):
+    alone, nothing = apart.take(apart["line"] == 1), apart.take(slice(0, 0))
+    for points, met in ((crowns, {(0, 1)}), (apart, set()), (alone, set()), (nothing, set())):
         found, overlaps = find_patches(points, seen_lines(points["line"]), CORE)
         assert not len(found["rise"])
         assert overlaps == met
-
-
-def test_crowns_and_lone_flightlines_have_no_patches() -> None:
-    rng = np.random.default_rng(3)
-    crowns = two_strips(Shift(), heights=lambda x, _: rng.uniform(0, 12, len(x)))
-    assert not len(found_in(crowns)["rise"])
-    whole = two_strips(Shift())
-    alone = whole.take(whole["line"] == 1)
-    assert not len(found_in(alone)["rise"])
-    assert not len(found_in(whole.take(slice(0, 0)))["rise"])
 
 
 @settings(max_examples=15)

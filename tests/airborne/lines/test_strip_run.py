@@ -32,7 +32,7 @@ def write(path: Path, line: Returns, *, timed: bool) -> None:
 @pytest.mark.pictures
 def test_an_offset_is_in_findings_report_and_page(tmp_path: Path) -> None:
     result = surveys.run(survey(tmp_path, Shift(0.3, -0.2, 0.2)))
-    (pair,) = json.loads((result.output / "report.json").read_text())["strips"]
+    (pair,) = surveys.report(result.output)["strips"]
     assert pair["up_m"] == pytest.approx(0.2, abs=0.01)
     assert pair["east_m"] == pytest.approx(0.3, abs=0.08)
     assert pair["north_m"] == pytest.approx(-0.2, abs=0.08)

@@ -12,6 +12,7 @@ from spl_batch.lattice.tiles import quanta
 EDGE = quanta(haze.CUBE_M)
 CORNER = np.array([272_000, 3_290_000, 40]) * 1000
 SIDE_M = 120.0
+CORE = (*CORNER[:2], *(CORNER[:2] + quanta(SIDE_M)))
 
 
 def box(rng, per_m3, low, high, side=SIDE_M):
@@ -25,11 +26,14 @@ def model(noise):
     return lambda at: np.full(len(at[0]), noise)
 
 
-def found(parts, noise=0.05):
-    xyz = np.concatenate(parts)
+def counted(xyz):
+    """Coordinates of points by axis, and their counts, of all of them."""
     axes = tuple(np.ascontiguousarray(xyz[:, k]) for k in range(3))
-    counted = np.ones(len(xyz), np.bool_)
-    counts = haze.count_cubes(axes, counted)
+    return axes, haze.count_cubes(axes, np.ones(len(xyz), np.bool_))
+
+
+def found(parts, noise=0.05):
+    axes, counts = counted(np.concatenate(parts))
     return axes, haze.find_air(counts, model(noise))
 
 
@@ -204,10 +208,8 @@ def test_ground_roofs_wires_and_canopies_are_no_air():
 
 def test_returns_that_do_not_count_are_not_counted():
     rng = np.random.default_rng(6)
-    xyz = np.concatenate([box(rng, 0.05, -50, 100), box(rng, 1.0, 50, 80)])
-    axes = tuple(np.ascontiguousarray(xyz[:, k]) for k in range(3))
-    nothing = np.zeros(len(xyz), np.bool_)
-    assert haze.count_cubes(axes, nothing) is None
+    axes, _ = counted(np.concatenate([box(rng, 0.05, -50, 100), box(rng, 1.0, 50, 80)]))
+    assert haze.count_cubes(axes, np.zeros(len(axes[0]), np.bool_)) is None
     deep = axes[2] < CORNER[2] + 40_000
     assert haze.find_air(haze.count_cubes(axes, deep), model(0.05)) is None
 
@@ -224,8 +226,7 @@ def pairs(values):
 @settings(max_examples=60, deadline=None)
 def test_counts_and_pairs_agree_with_counting_them_one_by_one(points, scale):
     xyz = np.array(points, dtype=np.int64) * scale // 900
-    axes = tuple(np.ascontiguousarray(xyz[:, k]) for k in range(3))
-    counts = haze.count_cubes(axes, np.ones(len(xyz), np.bool_))
+    _, counts = counted(xyz)
     cell, cube = xyz // quanta(haze.CELL_M), xyz // EDGE
     assert counts.held.sum() == len(xyz)
     for place in np.unique(cube, axis=0):
@@ -244,17 +245,14 @@ def test_noise_does_not_depend_on_what_lies_beyond_its_reach(tapers):
     deep = np.array([[1_000, 1_000, -400_000]]) + CORNER  # layers of the whole alone
     parts = [box(rng, 0.05, -60, 110), patch, box(rng, 20.0, -0.1, 0.0), deep]
     xyz = np.concatenate(parts if tapers else parts[:2])
-    axes = tuple(np.ascontiguousarray(xyz[:, k]) for k in range(3))
-    noise = np.full(len(xyz), 0.05)
 
     def noise_of(chosen):
-        some = tuple(axis[chosen] for axis in axes)
-        counts = haze.count_cubes(some, np.ones(len(some[0]), np.bool_))
-        return haze.noise_with_air(some, noise[chosen], haze.find_air(counts, model(0.05)))
+        axes, air = found([xyz[chosen]])
+        return haze.noise_with_air(axes, np.full(len(axes[0]), 0.05), air)
 
     whole = noise_of(np.ones(len(xyz), np.bool_))
     for west in (20_000, 41_300, 63_000):
-        place = axes[0] - CORNER[0]
+        place = xyz[:, 0] - CORNER[0]
         owned = (place >= west) & (place < west + 20_000)
         margin = quanta(haze.REACH_M)
         near = (place >= west - margin) & (place < west + 20_000 + margin)
@@ -282,8 +280,7 @@ def test_haze_at_the_edge_of_a_swath_does_not_depend_on_how_far_other_points_rea
     core = (*(CORNER[:2] - 20_000), *(CORNER[:2] + 140_000))
     noises, layers = [], []
     for chosen in (xyz, xyz[:n]):
-        axes = tuple(np.ascontiguousarray(chosen[:, k]) for k in range(3))
-        counts = haze.count_cubes(axes, np.ones(len(chosen), np.bool_))
+        axes, counts = counted(chosen)
         air = haze.find_air(counts, model(0.05))
         noises.append(haze.noise_with_air(axes, np.full(len(chosen), 0.05), air)[:n])
         seen = noise_by_layer(counts, air, model(0.05), core)
@@ -297,12 +294,9 @@ def test_layers_that_hold_noise_alone_tell_how_far_the_model_is_off():
     rng = np.random.default_rng(8)
     parts = [box(rng, 0.05, -100, -5), box(rng, 0.09, 30, 120), canopy(rng)]
     parts.append(box(rng, 1.0, 60, 80))
-    xyz = np.concatenate(parts)
-    axes = tuple(np.ascontiguousarray(xyz[:, k]) for k in range(3))
-    counts = haze.count_cubes(axes, np.ones(len(xyz), np.bool_))
-    core = (CORNER[0], CORNER[1], CORNER[0] + 120_000, CORNER[1] + 120_000)
+    _, counts = counted(np.concatenate(parts))
     air = haze.find_air(counts, model(0.05))
-    seen = noise_by_layer(counts, air, model(0.05), core)
+    seen = noise_by_layer(counts, air, model(0.05), CORE)
     height = seen.layer * haze.CUBE_M - 40
     for low, high, times in ((-95, -10, 1.0), (85, 120, 1.8)):
         band = (height >= low) & (height < high)
@@ -316,12 +310,8 @@ def test_layers_that_hold_noise_alone_tell_how_far_the_model_is_off():
 def test_layers_that_the_end_of_a_gate_cuts_are_not_counted():
     """Beyond 92 m nothing listens, though the model of points goes on; one of two ends at 42 m."""
     rng = np.random.default_rng(4)
-    xyz = np.concatenate(
-        [box(rng, 0.05, -100, 42), box(rng, 0.03, 42, 92), box(rng, 2e-4, 92, 130)]
-    )
-    axes = tuple(np.ascontiguousarray(xyz[:, k]) for k in range(3))
-    counts = haze.count_cubes(axes, np.ones(len(xyz), np.bool_))
-    core = (CORNER[0], CORNER[1], CORNER[0] + 120_000, CORNER[1] + 120_000)
+    parts = [box(rng, 0.05, -100, 42), box(rng, 0.03, 42, 92), box(rng, 2e-4, 92, 130)]
+    _, counts = counted(np.concatenate(parts))
 
     def heard(at):
         height = at[2] * 1e-3 - CORNER[2] * 1e-3
@@ -330,8 +320,8 @@ def test_layers_that_the_end_of_a_gate_cuts_are_not_counted():
     def believed(at):
         return np.where(at[2] * 1e-3 - CORNER[2] * 1e-3 < 42, 0.05, 0.03)
 
-    whole = noise_by_layer(counts, None, believed, core)
-    seen = noise_by_layer(counts, None, believed, core, heard)
+    whole = noise_by_layer(counts, None, believed, CORE)
+    seen = noise_by_layer(counts, None, believed, CORE, heard)
     height = seen.layer * haze.CUBE_M - CORNER[2] * 1e-3
     assert whole.expected[height >= 95].sum() > 0.0
     for low, high in ((-105, -95), (35, 45), (85, 140)):

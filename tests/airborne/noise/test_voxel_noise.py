@@ -164,17 +164,6 @@ def test_published_gamma_overestimates_and_needs_its_sums() -> None:
         voxel_noise.density(part.amount, PUBLISHED)
 
 
-def test_a_beamlet_counts_once() -> None:
-    flight = fly(shots=240)
-    model, part = run(flight)
-    key = np.stack([flight.table["gps_time"], flight.table["channel"]])
-    again = np.repeat(np.arange(len(flight.table)), 2)
-    twice = flight.table.take(again)
-    assert np.array_equal(key[:, again][:, ::2], key)
-    (other,) = voxel_noise.deposit(twice, geometry.beams(twice, flight.trajectory), model, SEEN)
-    assert np.array_equal(part.amount, other.amount)
-
-
 @settings(max_examples=8, deadline=None)
 @given(st.integers(1, 6), st.booleans())
 def test_parts_add_up_to_the_last_bit(intervals: int, published: bool) -> None:  # noqa: FBT001

@@ -1,6 +1,5 @@
 """A damaged trajectory or reference file fails alone; the survey is delivered."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -43,8 +42,8 @@ def run(survey: Path) -> surveys.Ended:
 
 def failures(survey: Path) -> dict[str, str]:
     """Names of the files that failed, and why."""
-    report = json.loads((survey.parent / "out/report.json").read_text(encoding="utf-8"))
-    return {Path(one["place"]).name: one["reason"] for one in report["failures"]}
+    listed = surveys.report(survey.parent / "out")["failures"]
+    return {Path(one["place"]).name: one["reason"] for one in listed}
 
 
 def test_each_fails_alone_and_is_done_when_it_is_mended(survey: Path) -> None:
@@ -75,8 +74,7 @@ def test_each_fails_alone_and_is_done_when_it_is_mended(survey: Path) -> None:
     )
     assert (first != 255).all()
     assert (second == 255).all()
-    report = json.loads((folder / "out/report.json").read_text(encoding="utf-8"))
-    assert report["accuracy"]["reference_points"] > 0
+    assert surveys.report(folder / "out")["accuracy"]["reference_points"] > 0
     # A report that is written again says of the run what the run said.
     assert surveys.command("report", folder / "out").status == 1
     for path, content in zip(harmed, sound, strict=True):

@@ -1,6 +1,5 @@
 """Files that lie where those of one survey do not: far apart, astray, in degrees."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -122,8 +121,7 @@ def test_a_stray_point_costs_nothing_and_its_file_is_named(tmp_path: Path) -> No
     assert ended.status == 0, ended.text
     flat = " ".join(ended.text.split())
     assert "span 1500 km; some of them must lie astray" in flat
-    report = json.loads((tmp_path / "out/report.json").read_text())
-    assert report["counts"]["points_out"] == len(cloud["x"])
+    assert surveys.report(tmp_path / "out")["counts"]["points_out"] == len(cloud["x"])
     values = raster(tmp_path / "out/dtm.tif")
     assert np.count_nonzero(values > NODATA) > 10, "the piece with most points comes first"
 

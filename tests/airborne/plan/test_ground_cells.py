@@ -74,13 +74,6 @@ def test_strips_up_to_the_buffer_belong_to_the_next_cell() -> None:
     assert cells.keeper(CellId(0, 0)) == CellId(1, 0)
 
 
-def test_owners_are_the_cells_that_touch() -> None:
-    cells = Grid.of_boxes([Bounds(0, 0, 390, 300)], 150, 100)
-    assert cells.owners([CellId(1, 0), CellId(9, 9)], 100) == ["0_0", "1_0", "1_1"]
-    # the third column is entered by 90 and belongs to the second
-    assert cells.owners([CellId(3, 0)], 100) == ["1_0"]
-
-
 def test_rasters_of_several_squares_come_back_in_their_places(tmp_path: Path) -> None:
     store = tmp_path / "rasters.zarr"
     create_raster_store(store, ["dtm"], ground_cell=4000, raster_cell=1000)

@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-import numpy as np
-import pyogrio
 import pytest
 import shapely
 from pyproj import Transformer
@@ -14,17 +12,12 @@ from spl_batch.formats import vector_files
 from tests import surveys
 
 
-def write(path: Path, shape: object, kind: str = "Polygon", crs: str = "EPSG:32615") -> None:
-    shapes = shapely.to_wkb(np.array([shape], object))
-    pyogrio.raw.write(path, shapes, [], [], geometry_type=kind, crs=crs)
-
-
 @pytest.mark.parametrize(("key", "status"), [("aoi", 2), ("breaklines", 0)])
 @pytest.mark.parametrize("away_m", [0.0, 5000.0])
 def test_polygons_beyond_the_survey(tmp_path: Path, key: str, status: int, away_m: float) -> None:
     east, north = surveys.ORIGIN_M
     box = shapely.box(east + away_m, north, east + away_m + 9, north + 9)
-    write(tmp_path / "p.gpkg", shapely.force_3d(box, 20.0), "Polygon Z")
+    surveys.write_shapes(tmp_path / "p.gpkg", [shapely.force_3d(box, 20.0)])
     surveys.write_cloud(tmp_path / "lines" / "a.laz", surveys.flightline(shots=20))
     ended = surveys.command("plan", surveys.write_workflow(tmp_path, **{key: "p.gpkg"}))
     assert ended.status == (status if away_m else 0), ended.text
@@ -34,7 +27,7 @@ def test_polygons_beyond_the_survey(tmp_path: Path, key: str, status: int, away_
 def test_an_area_with_latitude_and_longitude_swapped_is_refused(tmp_path: Path) -> None:
     degrees = Transformer.from_crs("EPSG:32615", "EPSG:4326").transform(*surveys.ORIGIN_M)
     area = shapely.Point(*degrees).buffer(0.001)
-    write(tmp_path / "p.geojson", area, crs="EPSG:4326")
+    surveys.write_shapes(tmp_path / "p.geojson", [area], "EPSG:4326")
     surveys.write_cloud(tmp_path / "lines" / "a.laz", surveys.flightline(shots=20))
     ended = surveys.command("plan", surveys.write_workflow(tmp_path, aoi="p.geojson"))
     assert ended.status == 2
@@ -46,7 +39,8 @@ def test_polygons_that_keep_their_degrees_are_told_and_read_again_with_the_grid(
 ) -> None:
     east, north = surveys.ORIGIN_M
     degrees = Transformer.from_crs("EPSG:26915", "EPSG:4269", always_xy=True).transform(east, north)
-    write(tmp_path / "p.gpkg", shapely.Point(*degrees).buffer(0.001), crs="EPSG:4269")
+    area = shapely.Point(*degrees).buffer(0.001)
+    surveys.write_shapes(tmp_path / "p.gpkg", [area], "EPSG:4269")
     cloud = surveys.flightline(shots=20)
     surveys.write_cloud(tmp_path / "lines" / "a.laz", cloud, crs="EPSG:6344")
     content = {"survey": {"flightlines": "lines/*.laz"}, "aoi": "p.gpkg", "output": "out"}
@@ -68,7 +62,8 @@ def test_an_area_between_the_flightlines_is_refused_once_the_points_are_read(
     other["y"] = other["y"] + 200.0
     surveys.write_cloud(tmp_path / "lines" / "a.laz", surveys.join(one, other))
     east, north = surveys.ORIGIN_M
-    write(tmp_path / "p.gpkg", shapely.box(east - 9, north + 90, east + 9, north + 110))
+    area = shapely.box(east - 9, north + 90, east + 9, north + 110)
+    surveys.write_shapes(tmp_path / "p.gpkg", [area])
     workflow = surveys.write_workflow(tmp_path, aoi="p.gpkg")
     ended = surveys.command("run", workflow, "--workers", 0, "--until", "shuffle")
     assert ended.status == 2

@@ -19,6 +19,7 @@ from spl_batch.formats.las.header import read_header
 from spl_batch.formats.las.known_records import kept_records
 from spl_batch.formats.units import US_FOOT, Units
 from tests import surveys
+from tests.io_files import keys_record
 
 UTM, NAVD88, EGM96 = "EPSG:32615", "EPSG:32615+5703", "EPSG:32615+5773"
 FEET, FEET_NAVD88, HALF = "EPSG:2278", "EPSG:2278+6360", "EPSG:2278+5703"
@@ -255,9 +256,7 @@ def test_survey_crs_stands_for_a_record_that_names_none_unless_that_is_in_feet(
 ) -> None:
     path = surveys.write_cloud(tmp_path / "0.las", surveys.flightline(shots=5), crs=None)
     cloud = laspy.read(path)
-    entries = [1, 1, 0, len(keys), *(v for key, value in keys for v in (key, 0, 1, value))]
-    record = np.array(entries, "<u2").tobytes()
-    cloud.header.vlrs.append(laspy.VLR("LASF_Projection", 34735, "", record))
+    cloud.header.vlrs.append(keys_record(*keys))
     cloud.header.global_encoding.wkt = False
     cloud.write(path)
     inputs = gathered(tmp_path, [], flightlines="*.las", crs=survey)

@@ -6,7 +6,6 @@ from typing import Any
 
 import laspy
 import numpy as np
-import pyogrio
 import pytest
 import shapely
 import yaml
@@ -113,10 +112,8 @@ def test_a_disk_with_room_for_points_and_none_for_rasters_is_named(
     small: Path, monkeypatch: pytest.MonkeyPatch, outputs: dict[str, Any], per_m2: float
 ) -> None:
     x, y = surveys.ORIGIN_M
-    pyogrio.raw.write(
-        small.parent / "tiles.gpkg", shapely.to_wkb([shapely.box(x, y, x + 9, y + 9)]),
-        [np.array(["A"], object)], ["name"], geometry_type="Polygon", crs=surveys.CRS_NAME,
-    )  # fmt: skip
+    tile = shapely.box(x, y, x + 9, y + 9)
+    surveys.write_shapes(small.parent / "tiles.gpkg", [tile], name=["A"])
     content = yaml.safe_load(small.read_text())
     plans = []
     for cell_m in (50.0, 0.2):

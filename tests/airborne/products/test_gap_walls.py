@@ -37,10 +37,6 @@ def test_walls_are_those_of_a_loop():
     assert found.sum() > 50
 
 
-def test_a_steep_slope_is_no_wall():
-    assert not walls_of(2.0 * COLUMN).any()
-
-
 def test_a_gap_sees_its_own_side_of_a_wall():
     gaps = (np.abs(ROW - 25) < 6) & (np.abs(COLUMN - 20) < 6)
     height = np.where(gaps, np.nan, 4.0 * (COLUMN > 30))

@@ -1,6 +1,7 @@
 """Findings of the page "Is it good enough?", and what they rest on, added up by hand."""
 
 import math
+from collections.abc import Iterable
 from types import SimpleNamespace
 from typing import Any
 
@@ -21,6 +22,7 @@ from spl_batch.airborne.report.model import (
 )
 from spl_batch.airborne.settings import ClassSettings
 from spl_batch.airborne.settings.requirements import RequirementSettings
+from spl_batch.engine.findings import Finding
 
 
 def pair(first: str, second: str, patches: int, rmsd: float | None) -> StripPair:
@@ -49,39 +51,36 @@ def test_a_file_in_week_time_among_adjusted_ones_shows() -> None:
     assert _time_standard(flown[:1]) == "adjusted"
 
 
+CONTEXT: Any = SimpleNamespace(workflow=SimpleNamespace(requirements=RequirementSettings()))
+
+
+def found_at(rows: Iterable[tuple[float, float]], odd: int = -1) -> list[Finding]:
+    """Findings of open checkpoints, by the height and the error of each and which is an outlier."""
+    points = [
+        Checkpoint(
+            id=f"{k}", x_m=1.0, y_m=2.0, z_m=z, surface="open", error_m=error, outlier=k == odd
+        )
+        for k, (z, error) in enumerate(rows)
+    ]
+    at = CheckpointStatistics(n=3), CheckpointStatistics(n=0)
+    tested = Checkpoints(statement="", nva=at[0], vva=at[1], points=tuple(points))
+    return list(checkpoint_findings(tested, CONTEXT))
+
+
 @pytest.mark.parametrize(("unit_m", "feet"), [(0.3048, True), (1.0, False)])
 def test_checkpoints_in_feet_are_named(unit_m: float, *, feet: bool) -> None:
-    terrain_m = [99.0, 101.5, 104.0]
-    tested = Checkpoints(
-        statement="", nva=CheckpointStatistics(n=3), vva=CheckpointStatistics(n=0),
-        points=tuple(
-            Checkpoint(id=f"{k}", x_m=1.0, y_m=2.0, z_m=(z + 0.02) / unit_m, surface="open",
-                       error_m=z - (z + 0.02) / unit_m)
-            for k, z in enumerate(terrain_m)
-        ),
-    )  # fmt: skip
-    context: Any = SimpleNamespace(workflow=SimpleNamespace(requirements=RequirementSettings()))
-    kinds = [one.values["kind"] for one in checkpoint_findings(tested, context)]
-    assert kinds == (["feet"] if feet else [])
+    given = [(z, (z + 0.02) / unit_m) for z in (99.0, 101.5, 104.0)]
+    found = found_at((z, terrain - z) for terrain, z in given)
+    assert [one.values["kind"] for one in found] == ["feet"] * feet
 
 
 @pytest.mark.parametrize(("error_m", "warned"), [(-2.5, True), (0.31, True), (0.25, False)])
 def test_a_checkpoint_with_a_blunder_is_warned_of(error_m: float, *, warned: bool) -> None:
-    errors = [("a", 0.01), ("b", -0.02), ("p17", error_m)]
-    tested = Checkpoints(
-        statement="", nva=CheckpointStatistics(n=3), vva=CheckpointStatistics(n=0),
-        points=tuple(
-            Checkpoint(id=name, x_m=1.0, y_m=2.0, z_m=3.0, surface="open", error_m=error,
-                       outlier=name == "p17")
-            for name, error in errors
-        ),
-    )  # fmt: skip
-    context: Any = SimpleNamespace(workflow=SimpleNamespace(requirements=RequirementSettings()))
-    said = list(checkpoint_findings(tested, context))
+    said = found_at(((3.0, error) for error in (0.01, -0.02, error_m)), odd=2)
     assert len(said) == warned
-    assert all(one.values["worst"] == "p17" for one in said)
+    assert all(one.values["worst"] == "2" for one in said)
     assert all(one.values["error_m"] == pytest.approx(error_m) for one in said)
-    assert not list(checkpoint_findings(None, context))
+    assert not list(checkpoint_findings(None, CONTEXT))
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,6 @@ from spl_batch.airborne.report.model import (
     Checkpoints,
     Counts,
     Report,
-    Survey,
 )
 from spl_batch.airborne.report.verdicts import (
     noise_removed,
@@ -27,21 +26,12 @@ from spl_batch.airborne.report.verdicts import (
 from spl_batch.engine.report import number_format as text
 from spl_batch.engine.report.page import report_json
 from spl_batch.engine.report.parts import (
-    Provenance,
     Statistics,
     finite_or_none,
 )
-from tests.report_data import make_failures, make_report
+from tests.report_data import make_failures, make_report, smallest_report
 
 NARROW = text.THIN
-
-
-def smallest() -> Report:
-    return Report(
-        survey=Survey(name="nothing"),
-        counts=Counts(points_in=0, points_out=0),
-        provenance=Provenance(version="0", created="2026-01-01T00:00:00+00:00"),
-    )
 
 
 def with_rmse(rmse: float, name: str = "open_ground") -> Report:
@@ -152,7 +142,7 @@ class TestSummary:
         assert rows["failures"] == "none"
 
     @pytest.mark.parametrize(
-        "make", [make_report, smallest, lambda: make_report(failures=make_failures())]
+        "make", [make_report, smallest_report, lambda: make_report(failures=make_failures())]
     )
     def test_any_console_can_show_it(self, make: Callable[[], Report]) -> None:
         for label, value in screen_summary(make()):
@@ -163,7 +153,7 @@ class TestSummary:
             points_in=20, points_out=20, signal=6, background=1, afterpulse=1, not_assessed=12
         )
         assert noise_removed(make_report(counts=counts)) == 0.1
-        assert noise_removed(smallest()) is None
+        assert noise_removed(smallest_report()) is None
 
 
 class TestFormat:

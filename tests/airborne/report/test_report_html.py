@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -13,14 +14,13 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from spl_batch.airborne.report.model import Counts, DeliveredUnits, Report, Survey
+from spl_batch.airborne.report.model import Counts, DeliveredUnits
 from spl_batch.airborne.report.pictures import PICTURES, Profile, Raster, make_pictures
 from spl_batch.airborne.report.survey_page import render
 from spl_batch.constants import US_FOOT_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report import maps, style
 from spl_batch.engine.report.page import write_both
-from spl_batch.engine.report.parts import Performance
 from spl_batch.engine.report.picture import Picture
 from spl_batch.engine.report.reported import reported
 from spl_batch.errors import StoppedError
@@ -32,6 +32,7 @@ from tests.report_data import (
     make_inputs,
     make_profile,
     make_report,
+    smallest_report,
 )
 
 VOID_ELEMENTS = {"meta", "img", "br", "hr", "link", "input"}
@@ -46,6 +47,7 @@ class Page(html.parser.HTMLParser):
         super().__init__()
         self.open: list[str] = []
         self.tags: list[str] = []
+        self.attributes: list[tuple[str, dict[str, str | None]]] = []
         self.links: list[str] = []
         self.ids: list[str] = []
         self.text = ""
@@ -54,6 +56,7 @@ class Page(html.parser.HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.append(tag)
+        self.attributes.append((tag, dict(attrs)))
         if tag not in VOID_ELEMENTS:
             self.open.append(tag)
         for name, value in attrs:
@@ -94,6 +97,18 @@ class TestPage:
         assert "@import" not in style_text
         assert "http:" not in re.sub(r"base64,[^\"]*", "", page)
         assert "https:" not in page
+
+    def test_it_has_one_main_part_headings_in_order_and_pictures_in_words(self, page: str) -> None:
+        parsed = Page(page)
+        assert parsed.tags.count("main") == 1
+        levels = [int(tag[1]) for tag in parsed.tags if re.fullmatch("h[1-4]", tag)]
+        assert (levels[0], levels.count(1)) == (1, 1)
+        assert all(after - before <= 1 for before, after in pairwise(levels))
+        scopes = {given.get("scope") for tag, given in parsed.attributes if tag == "th"}
+        assert scopes == {"col", "row"}
+        texts = [given["alt"] or "" for tag, given in parsed.attributes if tag == "img"]
+        assert all(len(text) > 20 for text in texts)
+        assert page.index("Parameters that differ") < page.index("Appendix: all parameters")
 
     def test_each_inner_link_has_its_aim(self, page: str) -> None:
         parsed = Page(page)
@@ -159,15 +174,6 @@ class TestPage:
         assert "warning number 199" in shown
         assert "warning number 200" not in shown
         assert "150 more are in report.json" in shown
-
-
-def smallest_report() -> Report:
-    return Report(
-        survey=Survey(name="nothing"),
-        counts=Counts(points_in=0, points_out=0),
-        performance=Performance(),
-        provenance=make_report().provenance,
-    )
 
 
 class TestWrite:

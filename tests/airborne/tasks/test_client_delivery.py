@@ -56,13 +56,8 @@ FEET = "EPSG:2278+6360"
 SURVEY = {"organisation": "Survey <Ltd>", "contact": "maps@example.org", "licence": "CC-BY-4.0"}
 
 
-def write_tiles(
-    path: Path, tiles: dict[str, Any], field: str = "tile", crs: str = surveys.CRS_NAME
-) -> Path:
-    shapes = shapely.to_wkb(np.array(list(tiles.values()), object))
-    names = [np.array(list(tiles), object)]
-    pyogrio.raw.write(path, shapes, names, [field], driver="GPKG", geometry_type="Polygon", crs=crs)
-    return path
+def write_tiles(path: Path, tiles: dict[str, Any], crs: str = surveys.CRS_NAME) -> Path:
+    return surveys.write_shapes(path, tiles.values(), crs, tile=tiles)
 
 
 class Runs(NamedTuple):

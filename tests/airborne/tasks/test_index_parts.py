@@ -12,7 +12,6 @@ from spl_batch import api
 from spl_batch.airborne.tasks import index
 from spl_batch.airborne.tasks.file_tally import facts_of, merge, observe, spans_of
 from spl_batch.engine.watch.events import Event, PhaseStarted, TaskEnded
-from spl_batch.errors import InputError
 from spl_batch.formats.las.reader import iter_points
 from tests import surveys
 
@@ -104,27 +103,6 @@ def test_a_part_that_cannot_be_read_fails_its_file_once(small: Path, small_outpu
     assert surveys.results(surveys.run(small).output) == surveys.results(small_output)
 
 
-def test_a_part_that_could_not_be_read_once_is_read_by_the_next_run(
-    small: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = min((small.parent / "lines").glob("*.laz"))
-    read = index.iter_points
-
-    def failing(file: Path, *, start: int, **options: Any) -> Any:
-        if file == path and start == POINTS:
-            raise InputError(str(path), "the disk is away")
-        return read(file, start=start, **options)
-
-    monkeypatch.setattr(index, "iter_points", failing)
-    result, _ = events(small, until="index")
-    assert result.exit_status == 1
-    monkeypatch.setattr(index, "iter_points", read)
-    again, told = events(small, until="index")
-    assert again.exit_status == 0
-    (part,) = done(told, "index_part")
-    assert part.endswith("/1"), "the others are finished"
-
-
 def test_a_part_that_is_lost_leaves_its_file_out_and_is_tried_again_alone(
     small: Path, small_output: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -136,8 +114,9 @@ def test_a_part_that_is_lost_leaves_its_file_out_and_is_tried_again_alone(
             raise MemoryError("no room")
         return read(file, start=start, **options)
 
-    monkeypatch.setattr(index, "iter_points", failing)
-    result, told = events(small)
+    with monkeypatch.context() as patch:
+        patch.setattr(index, "iter_points", failing)
+        result, told = events(small)
     assert result.exit_status == 1
     (failure,) = result.report.failures
     assert failure.task.startswith("index_part ")
@@ -147,7 +126,6 @@ def test_a_part_that_is_lost_leaves_its_file_out_and_is_tried_again_alone(
     assert counts.points_in == counts.points_out > 0
     assert counts.not_read == len(surveys.cloud(path)["X"])
     assert len(done(told, "index_file")) == 1
-    monkeypatch.setattr(index, "iter_points", read)
     again, told = events(small)
     assert done(told, "index_part") == [failure.task.split()[1]]
     assert surveys.results(again.output) == surveys.results(small_output)

@@ -52,25 +52,6 @@ def test_a_task_that_eats_memory_fails_and_the_rest_is_finished(
     assert len(done) == len(list((small_output / "store/receipts/ground").glob("*.json")))
 
 
-def test_a_file_that_cannot_be_read_to_its_end_is_left_out_and_mended(
-    small: Path, small_output: Path
-) -> None:
-    path = small.parent / "lines/line_2.laz"
-    content = path.read_bytes()
-    path.write_bytes(content[: len(content) * 2 // 3])
-    result = surveys.run(small)
-    assert result.exit_status == 1
-    assert result.report is not None
-    (failure,) = result.report.failures
-    assert "line_2.laz" in failure.place
-    assert failure.inputs
-    assert "line_2.laz" in failure.inputs[0]
-    assert (result.output / "laz/lines/line_1.laz").exists()
-    assert (result.output / "dtm.tif").exists()
-    path.write_bytes(content)
-    surveys.assert_mended(small, small_output)
-
-
 @pytest.mark.slow
 def test_ctrl_c_ends_a_run_in_order(small: Path) -> None:
     output = small.parent / "out"

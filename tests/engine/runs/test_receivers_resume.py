@@ -2,8 +2,8 @@
 
 Another receiver joins by an entry in :data:`SURVEYS`: its kind, a function that writes a small
 survey into a folder and gives back the workflow (its output is ``out`` beside it), the inputs that
-are lost together when the first of them cannot be read, and the moments at which runs of it are
-killed: while a task writes its output or its receipt.
+are lost together when the first of them cannot be read, and when runs of it are killed: while a
+task writes its output or its receipt.
 
 The survey wants ten tasks or more, a second or less of work, and other inputs of the same sort
 beside those.
@@ -14,7 +14,6 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -57,34 +56,9 @@ def coincidence(folder: Path) -> Path:
     return workflow
 
 
-def water_surface(folder: Path) -> Path:
-    """Two files of a tank with waves, and frames of targets."""
-    return write_tank(folder)
-
-
 @dataclass(frozen=True)
 class Survey:
-    """How the tests come to a receiver's data; the module's text tells of the parts."""
-
-    write: Callable[[Path], Path]
-    lost: tuple[str, ...]
-    killed_at: tuple[str, ...]
-
-
-SURVEYS = {
-    "altimetry": Survey(altimetry, ("granule_2.h5",), ("output",)),
-    "coincidence": Survey(
-        coincidence,
-        ("l1/pass_2_detections.parquet", "l1/pass_2_frames.parquet"),
-        ("output",),
-    ),
-    "water_surface": Survey(water_surface, ("frames/tank_01.h5",), ("receipt",)),
-}
-
-
-@dataclass(frozen=True)
-class Finished:
-    """A survey whose run nothing disturbed."""
+    """A survey whose run nothing disturbed; the module's text tells of the parts."""
 
     workflow: Path
     lost: tuple[str, ...]
@@ -100,13 +74,21 @@ class Finished:
         return surveys.copy_of(self.workflow, folder)
 
 
+L1_FILES = ("l1/pass_2_detections.parquet", "l1/pass_2_frames.parquet")
+SURVEYS = {
+    "altimetry": (altimetry, ("granule_2.h5",), ("output",)),
+    "coincidence": (coincidence, L1_FILES, ("output",)),
+    "water_surface": (write_tank, ("frames/tank_01.h5",), ("receipt",)),
+}
+
+
 @pytest.fixture(scope="module", params=sorted(set(HOMES) - {IMAGING}))
-def finished(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Finished:
-    survey = SURVEYS[request.param]
-    workflow = survey.write(tmp_path_factory.mktemp(request.param))
+def finished(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Survey:
+    write, *parts = SURVEYS[request.param]
+    workflow = write(tmp_path_factory.mktemp(request.param))
     ended = surveys.command("run", workflow, "--workers", 0)
     assert ended.status == 0, ended.text
-    return Finished(workflow, survey.lost, survey.killed_at)
+    return Survey(workflow, *parts)
 
 
 def delivered(output: Path) -> dict[str, bytes]:
@@ -133,7 +115,7 @@ def run_and_kill(workflow: Path, moment: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_run_that_is_killed_goes_on_to_the_same_bytes(finished: Finished, tmp_path: Path) -> None:
+def test_a_run_that_is_killed_goes_on_to_the_same_bytes(finished: Survey, tmp_path: Path) -> None:
     workflow = finished.copied(tmp_path / "killed")
     output = workflow.parent / "out"
     tasks = len(receipt_files(finished.output))
@@ -149,13 +131,13 @@ def test_a_run_that_is_killed_goes_on_to_the_same_bytes(finished: Finished, tmp_
     assert delivered(output) == delivered(finished.output)
     for path, content in done.items():
         assert path.read_bytes() == content, f"{path} was finished and is done again"
-    performance = json.loads((output / "report.json").read_text())["performance"]
+    performance = surveys.report(output)["performance"]
     assert sum(s["skipped"] for s in performance["stages"].values()) == len(done)
     assert sum(s["tasks"] for s in performance["stages"].values()) == tasks - len(done)
     assert not any(output.rglob("*.spl-part"))
 
 
-def test_a_file_that_cannot_be_read_costs_itself_alone(finished: Finished, tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_read_costs_itself_alone(finished: Survey, tmp_path: Path) -> None:
     workflow = finished.copied(tmp_path / "damaged")
     output = workflow.parent / "out"
     without = finished.copied(tmp_path / "without")
@@ -167,7 +149,7 @@ def test_a_file_that_cannot_be_read_costs_itself_alone(finished: Finished, tmp_p
     damaged.write_bytes(content[: len(content) // 2])
     ended = surveys.command("run", workflow, "--workers", 0)
     assert ended.status == 1
-    failures = json.loads((output / "report.json").read_text())["failures"]
+    failures = surveys.report(output)["failures"]
     assert [Path(f["place"]).name for f in failures] == [damaged.name]
     assert failures[0]["reason"]
     assert damaged.name in ended.text

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pyproj import CRS
 
 from spl_batch.errors import InputError
 from spl_batch.formats.las.chunks import CHUNK_SIZE_AT
@@ -177,22 +176,6 @@ def test_scaled_extra_dimension(tmp_path: Path) -> None:
         writer.write_points(points)
     table = read_all(tmp_path / "a.las", channel_dimension="beam")
     np.testing.assert_array_equal(table["channel"], np.arange(40) * 2 + 5)
-
-
-@pytest.mark.parametrize(
-    ("version", "point_format"),
-    [("1.2", 3), ("1.4", 1), ("1.4", 6)],
-    ids=["geotiff", "both", "wkt"],
-)
-@pytest.mark.parametrize("code", [32615, 2154, 25832])
-def test_crs_from_geotiff_and_wkt(
-    tmp_path: Path, version: str, point_format: int, code: int
-) -> None:
-    crs = CRS.from_epsg(code)
-    path = write_las(tmp_path / "a.laz", version=version, point_format=point_format, crs=crs)
-    found = inspect(path).crs
-    assert found is not None
-    assert found.to_epsg() == code
 
 
 @pytest.mark.parametrize("counted", [False, True])

@@ -23,7 +23,10 @@ from spl_batch.formats.las.reader import iter_points
 from spl_batch.formats.las.writer import write_classified, write_points
 from spl_batch.formats.units import Units, in_words
 from spl_batch.lattice.tables import SOURCE_COLUMNS, PointTable, concat
-from tests.io_files import VERSIONS, patch, write_las
+from tests.io_files import VERSIONS, keys_record, patch, wkt_record, write_las
+
+UTM = ((1024, 1), (3072, 32615))
+"""Keys of UTM 15 N."""
 
 
 def labels(start: int, stop: int) -> Mapping[str, NDArray[Any]]:
@@ -203,8 +206,8 @@ NAMELESS = CompoundCRS(
 def test_a_record_without_a_vertical_datum_gets_that_of_the_survey(
     tmp_path: Path, own: str, wanted: list[int], where: str
 ) -> None:
-    text = own if own == "nonsense" else CRS.from_user_input(own).to_wkt("WKT1_GDAL")
-    record = laspy.VLR("LASF_Projection", 2112, "", text.encode() + b"\0")
+    nonsense = laspy.VLR("LASF_Projection", 2112, "", b"nonsense\0")
+    record = nonsense if own == "nonsense" else wkt_record(own)
     given: dict[str, Any] = {where: [record], "scales": (0.01,) * 3}
     src = write_las(tmp_path / "a.laz", **given)
     classify(src, tmp_path / "b.laz", crs=CRS.from_user_input("EPSG:32615+5703"))
@@ -224,10 +227,7 @@ def test_a_record_without_a_vertical_datum_gets_that_of_the_survey(
 def test_keys_and_wkt_that_contradict_each_other(
     tmp_path: Path, point_format: int, wanted: int, other: str, writer: str
 ) -> None:
-    keys = np.array([1, 1, 0, 2, 1024, 0, 1, 1, 3072, 0, 1, 32615], "<u2").tobytes()
-    wkt = CRS.from_user_input(other).to_wkt("WKT1_GDAL").encode() + b"\0"
-    records = [laspy.VLR("LASF_Projection", 34735, "", keys)]
-    records.append(laspy.VLR(writer, 2112, "", wkt))
+    records = [keys_record(*UTM), wkt_record(other, writer)]
     src = write_las(tmp_path / "a.las", point_format=point_format, vlrs=records)
     crs, warnings = header_crs(read_header(src))
     assert crs is not None
@@ -243,28 +243,23 @@ def test_keys_and_wkt_that_contradict_each_other(
     assert (copy.vlr("LASF_Projection", 34735) is None) == (wanted == 32616)
 
 
-DATUMS = (
-    ([5703], "EPSG:32615+5703", True),
-    ([5703], "EPSG:32615+5773", False),
-    ([5019], "EPSG:32615+5703", False),
-    ([5703, 9001], "EPSG:32615", True),
-    ([6360], "EPSG:32615+6360", True),
-    ([6360, 9001], "EPSG:32615+6360", False),
-    ([6360, 9001], "EPSG:32615+5703", False),  # the keys contradict themselves
+@pytest.mark.parametrize(
+    ("heights", "other", "agree"),
+    [
+        ([5703], "EPSG:32615+5703", True),
+        ([5703], "EPSG:32615+5773", False),
+        ([5019], "EPSG:32615+5703", False),
+        ([5703, 9001], "EPSG:32615", True),
+        ([6360], "EPSG:32615+6360", True),
+        ([6360, 9001], "EPSG:32615+6360", False),
+        ([6360, 9001], "EPSG:32615+5703", False),  # the keys contradict themselves
+    ],
 )
-
-
-@pytest.mark.parametrize(("heights", "other", "agree"), DATUMS)
 def test_heights_of_keys_and_wkt_are_above_the_same(
     tmp_path: Path, heights: list[int], other: str, *, agree: bool
 ) -> None:
-    named = zip((4096, 4099), heights, strict=False)
-    values = [1024, 0, 1, 1, 3072, 0, 1, 32615, *(v for k, c in named for v in (k, 0, 1, c))]
-    keys = np.array([1, 1, 0, len(values) // 4, *values], "<u2").tobytes()
-    records = [laspy.VLR("LASF_Projection", 34735, "", keys)]
-    wkt = CRS.from_user_input(other).to_wkt("WKT1_GDAL").encode() + b"\0"
-    records.append(laspy.VLR("LASF_Projection", 2112, "", wkt))
-    src = write_las(tmp_path / "a.las", version="1.4", point_format=6, vlrs=records)
+    keys = keys_record(*UTM, *zip((4096, 4099), heights, strict=False))
+    src = write_las(tmp_path / "a.las", vlrs=[keys, wkt_record(other)])
     assert (header_crs(read_header(src))[1] == ()) == agree
 
 
@@ -274,8 +269,7 @@ def test_a_unit_of_heights_counts_more_than_a_vertical_crs_that_contradicts_it(
     tmp_path: Path, code: int, unit: int
 ) -> None:
     by_unit = {9001: 5703, 9002: 8228, 9003: 6360}
-    keys = [1, 1, 0, 4, 1024, 0, 1, 1, 3072, 0, 1, 26915, 4096, 0, 1, code, 4099, 0, 1, unit]
-    record = laspy.VLR("LASF_Projection", 34735, "", np.array(keys, "<u2").tobytes())
+    record = keys_record((1024, 1), (3072, 26915), (4096, code), (4099, unit))
     crs, warnings = header_crs(read_header(write_las(tmp_path / "a.las", vlrs=[record])))
     assert crs is not None
     assert vertical(crs).to_epsg() == by_unit[unit]
@@ -304,12 +298,9 @@ def test_heights_that_one_record_alone_states_count_else_the_header_decides(
     wanted: tuple[float, float],
     point_format: int,
 ) -> None:
-    named = ((1024, 1), (3072, 2278), (3076, 9003), *heights.items())
-    values = [1, 1, 0, len(named), *(v for key, code in named for v in (key, 0, 1, code))]
-    wkt = CRS.from_user_input(other).to_wkt("WKT1_GDAL").encode() + b"\0"
-    records = [laspy.VLR("LASF_Projection", 34735, "", np.array(values, "<u2").tobytes())]
-    records.append(laspy.VLR("LASF_Projection", 2112, "", wkt))
-    src = write_las(tmp_path / "a.las", version="1.4", point_format=point_format, vlrs=records)
+    keys = keys_record((1024, 1), (3072, 2278), (3076, 9003), *heights.items())
+    records = [keys, wkt_record(other)]
+    src = write_las(tmp_path / "a.las", point_format=point_format, vlrs=records)
     classify(src, tmp_path / "b.laz")
     for path in (src, tmp_path / "b.laz"):
         crs, warnings = header_crs(read_header(path))
@@ -321,21 +312,18 @@ def test_heights_that_one_record_alone_states_count_else_the_header_decides(
 
 
 def test_the_record_of_liblas_takes_no_heights_from_keys(tmp_path: Path) -> None:
-    keys = [1, 1, 0, 3, 1024, 0, 1, 1, 3072, 0, 1, 32615, 4096, 0, 1, 5703]
-    wkt = CRS("EPSG:32615").to_wkt("WKT1_GDAL").encode() + b"\0"
-    records = [laspy.VLR("liblas", 2112, "", wkt)]
+    records = [wkt_record("EPSG:32615", "liblas")]
     for wanted in (2, 0):
         src = write_las(tmp_path / "a.las", version="1.2", point_format=1, vlrs=records)
         crs, warnings = header_crs(read_header(src))
         assert crs is not None
         assert (len(crs.sub_crs_list), warnings) == (2 - wanted, ())
-        records.append(laspy.VLR("LASF_Projection", 34735, "", np.array(keys, "<u2").tobytes()))
+        records.append(keys_record(*UTM, (4096, 5703)))
 
 
 @pytest.mark.parametrize("code", [5019, 5030])
 def test_heights_above_an_ellipsoid_are_written_as_wkt2(tmp_path: Path, code: int) -> None:
-    keys = [1, 1, 0, 3, 1024, 0, 1, 1, 3072, 0, 1, 32615, 4096, 0, 1, code]
-    record = laspy.VLR("LASF_Projection", 34735, "", np.array(keys, "<u2").tobytes())
+    record = keys_record(*UTM, (4096, code))
     src = write_las(tmp_path / "a.las", version="1.2", point_format=1, vlrs=[record])
     classify(src, tmp_path / "b.laz")
     crs = header_crs(read_header(tmp_path / "b.laz"))[0]

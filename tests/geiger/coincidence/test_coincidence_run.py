@@ -70,7 +70,7 @@ def test_points_files_and_report(survey: Path) -> None:
     assert las.header.parse_crs().to_epsg() == 32616
     for name in ("return_number", "number_of_returns", "point_source_id"):
         assert (las[name] == 1).all()
-    report = json.loads((survey / "out" / "report.json").read_text())
+    report = surveys.report(survey / "out")
     schema = json.loads((ROOT / "schemas" / "coincidence_report.schema.json").read_text())
     jsonschema.validate(report, schema)
     counts = report["counts"]
@@ -169,7 +169,7 @@ def test_wrong_attitudes_are_warned_of(survey: Path) -> None:
     result = api.run(survey / "workflow.yaml", workers=0, overrides=changes)
     (off,) = surveys.found(result.report.findings, "K02")
     assert any("pass_1_detections.parquet" in name for name in off.subjects)
-    sound = json.loads((survey / "out" / "report.json").read_text())
+    sound = surveys.report(survey / "out")
     assert sound["findings"] == []
 
 

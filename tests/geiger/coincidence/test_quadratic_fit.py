@@ -100,15 +100,6 @@ def test_a_level_surface_is_found_once_at_its_height() -> None:
     assert not surfaces(raster, voxel, 2.0, 3, 0.05, 2.5, *limits[2:])[3].any()
 
 
-@pytest.mark.parametrize("height", np.linspace(-0.5, 0.5, 5))
-def test_heights_are_drawn_to_the_centre_by_little(height: float) -> None:
-    # 5 cm and a bin of 5 cm in voxels of 4.5 cm.
-    c = coefficients(layer(17, height, 1.17)[6:11, 6:11, 6:11], 2)
-    found = maximum(c, 0.5, 1.0)[2][2]
-    assert abs(found - height) < 0.12
-    assert abs(found) <= abs(height) + 1e-9
-
-
 @pytest.mark.parametrize("half", [1, 2, 4])
 @pytest.mark.parametrize("axis", [0, 1])
 def test_points_end_at_a_straight_edge(half: int, axis: int) -> None:

@@ -61,7 +61,7 @@ def test_a_run_delivers_surfaces_that_are_true(done: api.RunResult) -> None:
     shown = dict(receiver.RECEIVER.screen(report))
     assert shown["calibration"].startswith("fitted")
     assert "accuracy" not in shown
-    content = json.loads((done.output / "report.json").read_text())
+    content = surveys.report(done.output)
     jsonschema.validate(content, json.loads(schemas()["water_surface_report.schema.json"]))
     assert (done.output / "report.html").read_text().count("data:image/png") == 4
     assert api.report(done.output).report.surfaces == report.surfaces

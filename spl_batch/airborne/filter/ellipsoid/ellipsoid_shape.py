@@ -76,7 +76,7 @@ def covariance(near, member, found, moments, column):  # type: ignore[no-untyped
         syy += dy * dy
         syz += dy * dz
         szz += dz * dz
-    n = np.float64(max(found, 1))
+    n = np.float64(found) if found > 0 else 1.0
     scale = 1.0 / (n * n)
     moments[0, column] = (n * sxx - sx * sx) * scale
     moments[1, column] = (n * sxy - sx * sy) * scale

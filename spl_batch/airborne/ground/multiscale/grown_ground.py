@@ -132,16 +132,26 @@ def on_land(nodes: Float, around: Index, ground: Mask) -> Mask:
 
 
 @njit()
+def _any_beside(fresh: Mask, around: Index) -> bool:
+    """Whether any of the nodes beside one is fresh."""
+    found = False
+    for k in range(1, SIDES + 1):
+        found |= fresh[around[k]]
+    return bool(found)
+
+
+@njit()
 def _grow(
     nodes: Float, around: Index, beside_wall: Mask, free: Mask, sources: Sources, ground: Mask
 ) -> None:
     """Let ground grow round by round: level beside walls, steep in cells that are free."""
     fresh = ground.copy()
     steep, level = sources.steep.astype(np.float64), sources.level.astype(np.float64)
+    there, here = np.empty(len(nodes), np.bool_), np.empty(len(nodes), np.bool_)
     for _ in range(ROUNDS):
-        there, here = np.zeros(len(nodes), np.bool_), np.zeros(len(nodes), np.bool_)
         for i in range(len(nodes)):
-            if ground[i] or not fresh[around[i, 1 : SIDES + 1]].any():
+            there[i] = here[i] = False
+            if ground[i] or not _any_beside(fresh, around[i]):
                 continue
             near = around[i]
             if free[i]:
@@ -150,12 +160,17 @@ def _grow(
             if beside_wall[i]:
                 off, rough, slopes = (LAYER_M, 0.0), (ROUGH_M, 0.0), (0.0, STEEP)
                 here[i] = on_one_side(nodes, near, level, i, off, rough, slopes, EDGE_M)
-        fresh = there | here
-        if not fresh.any():
+        grown = False
+        for i in range(len(nodes)):
+            fresh[i] = there[i] or here[i]
+            ground[i] |= fresh[i]
+            grown |= fresh[i]
+            if fresh[i] and free[i]:
+                steep[i] = 1.0
+            if here[i]:
+                level[i] = 1.0
+        if not grown:
             break
-        ground |= fresh
-        steep[fresh & free] = 1.0
-        level[here] = 1.0
 
 
 def barred(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> tuple[Mask, Mask]:

@@ -112,7 +112,9 @@ def _far_below(nodes: Float, known: Mask, asked: Mask) -> Mask:
 @njit()
 def _below_planes(nodes: Float, judged: Index, around: Index) -> Mask:
     """Which nodes lie far below the planes of others: (m,) bool."""
-    out, weight = np.zeros(len(judged), np.bool_), np.ones(len(nodes))
+    out, weight = np.empty(len(judged), np.bool_), np.empty(len(nodes))
+    for i in range(len(nodes)):
+        weight[i] = 1.0
     for k, i in enumerate(judged):
         weight[i] = 0.0
         counted, above, _, scatter = _plane(nodes, around[k], weight, i, 0.0, 0.0)
@@ -216,7 +218,10 @@ def on_one_side(
             limit_m = above_m[0] + above_m[1] * slope
             fits[side] = above <= limit_m and slopes[0] <= slope <= slopes[1]
             denied[side - SIDES // 2] = limit_m < above < wall_m
-    return bool((fits & ~denied).any())
+    found = False
+    for side in range(SIDES):
+        found |= fits[side] and not denied[side]
+    return bool(found)
 
 
 @njit()

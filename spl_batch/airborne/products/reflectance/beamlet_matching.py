@@ -126,8 +126,10 @@ def match_points(
     """
     highest, channels = top.reshape(-1), top.shape[1]
     west, south, size, cols = cells
-    fires = ~np.isnan(blocks.pattern[:, :, 0])
-    longest_s = ((blocks.last - blocks.first + 1) / blocks.prf_hz).max()
+    longest_s = 0.0
+    for block in range(len(blocks.prf_hz)):
+        shots = blocks.last[block] - blocks.first[block] + 1
+        longest_s = max(longest_s, shots / blocks.prf_hz[block])
     # Points lie by place and beamlets by time, each far from the last in memory: many are asked
     # for at once.
     where, words, held = np.empty(AT_ONCE, np.int64), np.empty(AT_ONCE, np.int64), 0
@@ -142,7 +144,7 @@ def match_points(
         while b >= 0 and blocks.begin_s[b] >= time_s[p] - longest_s:
             shot = np.int64(np.rint((time_s[p] - blocks.t0_s[b]) * blocks.prf_hz[b]))
             within = blocks.line[b] == line[p] and blocks.first[b] <= shot <= blocks.last[b]
-            if within and fires[b, c]:
+            if within and not np.isnan(blocks.pattern[b, c, 0]):
                 best = number[blocks.offset[b] + shot - blocks.first[b]]
                 break
             b -= 1

@@ -162,14 +162,16 @@ def motion(
     mean = np.empty(3)
     for b in range(len(start) - 1):
         rows = range(start[b], start[b + 1])
-        mean_t, mean[:] = 0.0, 0.0
+        mean_t, spread = 0.0, 0.0
+        for axis in range(3):
+            mean[axis] = out[b, 1, axis] = 0.0
         for row in rows:
             mean_t += tau[row]
             for axis in range(3):
                 mean[axis] += origin[row, axis] - anchor[b, axis]
         mean_t /= len(rows)
-        mean /= len(rows)
-        spread, out[b] = 0.0, 0.0
+        for axis in range(3):
+            mean[axis] /= len(rows)
         for row in rows:
             t = tau[row] - mean_t
             spread += t * t
