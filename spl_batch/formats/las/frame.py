@@ -189,11 +189,13 @@ class Extent:
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[np.int64]]) -> "Extent":
         """What :meth:`to_arrays` gave."""
-        return cls(arrays["extent/ends"], arrays["extent/returns"])
+        ends = np.stack([arrays["extent/high"], arrays["extent/low"]])
+        return cls(ends, arrays["extent/returns"])
 
     def to_arrays(self) -> dict[str, NDArray[np.int64]]:
         """Arrays by name, to be stored."""
-        return {"extent/ends": self.ends, "extent/returns": self.returns}
+        high, low = self.ends
+        return {"extent/high": high, "extent/low": low, "extent/returns": self.returns}
 
     @property
     def n_points(self) -> int:
