@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.kdtree_build import arrange
+from spl_batch.numerics.simd import LANES, UL, ascending, load, number, pack, spread
 
 LEAF: Final = 32
 """Most points in a leaf [count]; a power of two."""
@@ -96,7 +97,23 @@ def leaf_of(slot, depth, n):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def nth_distance(points, boxes, depth, node, x, y, z, limit, wide, least, nearest, stack):  # type: ignore[no-untyped-def]
+def _sort_in(nearest, d2):  # type: ignore[no-untyped-def]
+    """Put a squared distance in its place among the nearest; the last one goes."""
+    j = len(nearest) - 1
+    while j > 0 and nearest[j - 1] > d2:
+        nearest[j] = nearest[j - 1]
+        j -= 1
+    nearest[j] = d2
+
+
+@njit()
+def search_room(count):  # type: ignore[no-untyped-def]
+    """Scratch of :func:`nth_distance`: so many distances, branches put off, part of a leaf."""
+    return np.empty(count), np.empty(64, np.uint64), np.empty(LANES), np.empty(LANES, np.uint64)
+
+
+@njit()
+def nth_distance(points, boxes, depth, node, x, y, z, limit, wide, least, room):  # type: ignore[no-untyped-def]
     """Squared distance from a place to the n-th nearest point, infinite if there are fewer.
 
     Parameters
@@ -111,11 +128,10 @@ def nth_distance(points, boxes, depth, node, x, y, z, limit, wide, least, neares
         Farthest squared distance, inclusive.
     wide, least : (n,) float64, float
         Points whose value, by slot, is below ``least`` do not count.
-    nearest : (n,) float64
-        Receives the squared distances, ascending.
-    stack : (64,) uint64
-        Scratch: branches put off.
+    room
+        :func:`search_room` of n.
     """
+    nearest, stack, near_by, slots = room
     n, first = np.uint64(points.shape[1]), U1 << depth
     last = len(nearest) - 1
     for k in range(len(nearest)):
@@ -137,16 +153,18 @@ def nth_distance(points, boxes, depth, node, x, y, z, limit, wide, least, neares
                 top += U1 + U1
                 continue
             low, high = leaf_slots(node, depth, n)
-            for slot in range(low, high):
-                dx, dy, dz = points[U0, slot] - x, points[U1, slot] - y, points[U2, slot] - z
-                d2 = dx * dx + dy * dy + dz * dz
-                if d2 > limit or d2 >= nearest[last] or wide[slot] < least:
-                    continue
-                j = last
-                while j > 0 and nearest[j - 1] > d2:
-                    nearest[j] = nearest[j - 1]
-                    j -= 1
-                nearest[j] = d2
+            for begin in range(low, high, UL):
+                dx = load(points, (U0, begin)) - spread(x)
+                dy = load(points, (U1, begin)) - spread(y)
+                dz = load(points, (U2, begin)) - spread(z)
+                away = dx * dx + dy * dy + dz * dz
+                some = (away <= spread(limit)) & (away < spread(nearest[last]))
+                some = some & (ascending(begin) < spread(high))
+                pack(near_by, U0, away, some)
+                pack(slots, U0, ascending(begin), some)
+                for k in range(number(some)):
+                    if near_by[k] < nearest[last] and wide[slots[k]] >= least:
+                        _sort_in(nearest, near_by[k])
         if climb <= U1:
             return nearest[last]
         stack[0] = climb ^ U1

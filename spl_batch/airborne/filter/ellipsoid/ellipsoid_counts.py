@@ -36,7 +36,7 @@ from spl_batch.airborne.filter.ellipsoid.ellipsoid_shape import (
     offsets,
     shape_of,
 )
-from spl_batch.airborne.filter.ellipsoid.spacing import Spacing, measure, spacing_scratch, walk
+from spl_batch.airborne.filter.ellipsoid.spacing import Spacing, measure, walk
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.lattice.tiles import quanta
@@ -54,6 +54,7 @@ from spl_batch.numerics.neighbours.kdtree import (
     check_cap,
     leaf_of,
     leaf_slots,
+    search_room,
 )
 from spl_batch.numerics.neighbours.nearest import edges_of_leaves, neighbours_of_leaves
 from spl_batch.numerics.poisson import critical_by_logs, log_factorials, tail_by_logs
@@ -320,7 +321,7 @@ def _count_some(  # type: ignore[no-untyped-def]  # noqa: C901
     n = np.uint64(points.shape[1])
     near = np.zeros((LANES, 5, shape.neighbours + LANES))
     bodies, members, held = no_bodies(), np.empty(LANES, np.uint64), U0
-    stack, spare = np.empty(64, dtype=np.uint64), spacing_scratch(rule)
+    stack, spare = np.empty(64, dtype=np.uint64), search_room(rule.neighbours + 1)
     quadric, vectors = np.empty(6), np.empty((3, 3))
     axes, half, outer = np.empty(3), np.empty(3), np.empty(1)
     known, level, stop, least, log_mean = -1.0, -1.0, 1, 1.0, 0.0

@@ -37,6 +37,7 @@ from spl_batch.numerics.neighbours.kdtree import (
     leaf_of,
     leaf_slots,
     nth_distance,
+    search_room,
 )
 
 
@@ -48,22 +49,15 @@ class Spacing(NamedTuple):
 
 
 @njit()
-def spacing_scratch(rule):  # type: ignore[no-untyped-def]
-    """Arrays for :func:`measure`: distances, the point's own among them, and branches put off."""
-    return np.empty(rule.neighbours + 1), np.empty(64, np.uint64)
-
-
-@njit()
 def measure(points, boxes, depth, slot, space, rule, scratch):  # type: ignore[no-untyped-def]
     """Find out a slot's squared spacing [quanta2]."""
-    nearest, stack = scratch
     leaf = leaf_of(slot, depth, np.uint64(points.shape[1]))
     x = np.float64(points[U0, slot])
     y = np.float64(points[U1, slot])
     z = np.float64(points[U2, slot])
     wide = np.float64(rule.cap) * np.float64(rule.cap)
     found = nth_distance(
-        points, boxes, depth, leaf, x, y, z, wide, space, -np.inf, nearest, stack
+        points, boxes, depth, leaf, x, y, z, wide, space, -np.inf, scratch
     )  # fmt: skip
     space[slot] = min(found, wide)
 
@@ -163,9 +157,9 @@ def peer_distances(
 def _distances(points, boxes, depth, wide, places, own, limit, wanted, out):  # type: ignore[no-untyped-def]
     """Squared distance to the n-th peer."""
     depth = np.uint64(depth)
-    nearest, stack = np.empty(wanted), np.empty(64, dtype=np.uint64)
+    room = search_room(wanted)
     for i in range(len(places)):
         x, y, z = np.float64(places[i, 0]), np.float64(places[i, 1]), np.float64(places[i, 2])
         out[i] = nth_distance(
-            points, boxes, depth, U1, x, y, z, limit[i], wide, own[i], nearest, stack
+            points, boxes, depth, U1, x, y, z, limit[i], wide, own[i], room
         )  # fmt: skip
