@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spl_batch.airborne.filter.ellipsoid.spacing import Spacing, measure, spacing_scratch
+from spl_batch.airborne.filter.ellipsoid.spacing import Spacing, measure
 from spl_batch.numerics.neighbours.kdtree import (
     LEAF,
     U1,
@@ -18,6 +18,7 @@ from spl_batch.numerics.neighbours.kdtree import (
     build,
     check_cap,
     leaf_slots,
+    search_room,
 )
 from spl_batch.numerics.neighbours.nearest import edges_of_leaves, neighbours_of_leaves
 
@@ -78,7 +79,7 @@ def _by_leaves(points, boxes, depth, query, cap, rows, found):  # type: ignore[n
 @njit(nogil=True, cache=True)
 def _spacings(points, boxes, depth, rule, asked, out):  # type: ignore[no-untyped-def]
     """Points in tree order, so that the cache stays warm."""
-    depth, scratch, space = np.uint64(depth), spacing_scratch(rule), np.empty(points.shape[1])
+    depth, scratch, space = np.uint64(depth), search_room(rule.neighbours + 1), np.empty(points.shape[1])
     for slot in range(np.uint64(points.shape[1])):
         if asked[points[U3, slot]]:
             measure(points, boxes, depth, slot, space, rule, scratch)
