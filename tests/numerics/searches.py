@@ -79,7 +79,8 @@ def _by_leaves(points, boxes, depth, query, cap, rows, found):  # type: ignore[n
 @njit(nogil=True, cache=True)
 def _spacings(points, boxes, depth, rule, asked, out):  # type: ignore[no-untyped-def]
     """Points in tree order, so that the cache stays warm."""
-    depth, scratch, space = np.uint64(depth), search_room(rule.neighbours + 1), np.empty(points.shape[1])
+    depth, scratch = np.uint64(depth), search_room(rule.neighbours + 1)
+    space = np.empty(points.shape[1])
     for slot in range(np.uint64(points.shape[1])):
         if asked[points[U3, slot]]:
             measure(points, boxes, depth, slot, space, rule, scratch)

@@ -163,8 +163,9 @@ def nth_distance(points, boxes, depth, node, x, y, z, limit, wide, least, room):
                 pack(near_by, U0, away, some)
                 pack(slots, U0, ascending(begin), some)
                 for k in range(number(some)):
-                    if near_by[k] < nearest[last] and wide[slots[k]] >= least:
-                        _sort_in(nearest, near_by[k])
+                    if near_by[k] >= nearest[last] or wide[slots[k]] < least:
+                        continue
+                    _sort_in(nearest, near_by[k])
         if climb <= U1:
             return nearest[last]
         stack[0] = climb ^ U1
