@@ -162,7 +162,8 @@ class CompilerForInlining(CompilerForLinking):
 def _builtins_linked() -> Iterator[None]:
     """Have numba's own functions, such as ``np.zeros``, compiled for those that call them alone.
 
-    numba compiles under a lock: no other thread sees the change.
+    numba compiles under a lock: no other thread sees the change. What was compiled so stays known
+    to numba, and functions of others that call it link it as well.
     """
     before = _Builtin._get_jit_decorator  # noqa: SLF001
 

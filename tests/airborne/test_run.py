@@ -408,3 +408,15 @@ def test_a_failing_task_is_isolated_named_and_tried_again(
     assert second.report.failures == ()
     assert second.report.counts.not_assessed == 0
     assert surveys.results(second.output) == surveys.results(in_pieces)
+
+
+def test_surfaces_lie_as_they_should(tiny_output: Path) -> None:
+    values = {}
+    for product in ("dtm", "dsm", "chm"):
+        with rasterio.open(tiny_output / f"{product}.tif") as source:
+            values[product] = source.read(1)
+    both = (values["dtm"] != NODATA) & (values["dsm"] != NODATA)
+    height = values["dsm"][both] - values["dtm"][both]
+    assert np.percentile(height, 1) > -0.3
+    assert height.max() < 15, "no cell is set by noise"
+    assert np.abs(np.maximum(height, 0) - values["chm"][both]).max() < 0.5

@@ -19,7 +19,7 @@ from spl_batch.constants import CLASS_BUILDING, CLASS_GROUND, CLASS_WATER
 from spl_batch.formats.rasters.parts import Grid, known
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.nearest_cells import distances
-from spl_batch.numerics.neighbours.place_grid import PlaceGrid
+from spl_batch.numerics.neighbours.point_grid import PointGrid
 
 OPEN_M: Final = 2.0
 """Open ground has nothing tall within this distance [m]."""
@@ -103,7 +103,7 @@ def _cover(reference: Reference) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     if not len(points) or not others.any():
         return np.ones(len(points), np.bool_), np.zeros(len(points), np.bool_)
     above = reference.xyz_m[others]
-    foot = PlaceGrid.of(points).nearest(above)[:, 0]
+    foot = PointGrid.of(points).nearest(above)[:, 0]
     height = above[:, 2] - points[foot, 2]
     plants = reference.classification[others] != CLASS_BUILDING
     return (
@@ -124,7 +124,7 @@ def _near(
     low_m, high_m = _by_cells(points, others, radius_m / CELLS)
     near = high_m < radius_m
     unsure = np.flatnonzero(~near & (low_m <= radius_m))
-    near[unsure] = PlaceGrid.of(others).nearest(points[unsure], reach=radius_m)[:, 0] >= 0
+    near[unsure] = PointGrid.of(others).nearest(points[unsure], reach=radius_m)[:, 0] >= 0
     return near
 
 
@@ -211,7 +211,7 @@ def return_differences(xyz_m: NDArray[np.float64], reference: Reference) -> Diff
         points = known.xyz_m[known.classification == code]
         out[name] = np.empty(0, np.float32)
         if len(points):
-            nearest = PlaceGrid.of(points).nearest(xyz_m, reach=RETURNS_M)[:, 0]
+            nearest = PointGrid.of(points).nearest(xyz_m, reach=RETURNS_M)[:, 0]
             near = nearest >= 0
             off = xyz_m[near, 2] - points[nearest[near], 2]
             out[name] = off[np.abs(off) <= RETURNS_M].astype(np.float32)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.ground.multiscale.near_surface import facets_at
 from spl_batch.numerics.compiled import njit
-from spl_batch.numerics.neighbours.place_grid import PlaceGrid
+from spl_batch.numerics.neighbours.point_grid import PointGrid
 from spl_batch.numerics.triangulation.delaunay import along_curve, empty_mesh, finite, insert
 from spl_batch.numerics.triangulation.tin import Tin, facet_heights, locate_one, tin_of
 
@@ -144,7 +144,7 @@ def _continued(vertices: NDArray[np.float64], places: NDArray[np.float64]) -> ND
     and never exceeds :data:`_STEEPEST_FRAME`.
     """
     k = min(_FRAME_VERTICES, len(vertices))
-    nearest = PlaceGrid.of(vertices).nearest(places, k)
+    nearest = PointGrid.of(vertices).nearest(places, k)
     near = vertices[nearest]
     centre = near.mean(axis=1)
     offset = near - centre[:, None]

@@ -18,7 +18,7 @@ from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
 from spl_batch.numerics.nearest_cells import distances
 from spl_batch.numerics.nearest_heights import NEAREST
-from spl_batch.numerics.neighbours.place_grid import PlaceGrid
+from spl_batch.numerics.neighbours.point_grid import PointGrid
 
 NEAR_GROUND_M: Final = 10.0
 """How far above or below the ground around a return counts [m]: a beam that leans by 15 degrees is
@@ -48,7 +48,7 @@ def about_ground(
     asked = ~amid.ravel()[number]
     cells, of_cell = np.unique(number[asked], return_inverse=True)
     centres = (np.column_stack([cells % columns, cells // columns]) + 0.5) * size
-    nearest = PlaceGrid.of(ground).nearest(centres, min(NEAREST, len(ground)))
+    nearest = PointGrid.of(ground).nearest(centres, min(NEAREST, len(ground)))
     height = np.median(ground[nearest, 2], axis=1)[of_cell]
     rows = rows[asked]
     there[rows] = np.abs(table["z"][rows] - height) <= quanta(NEAR_GROUND_M)

@@ -177,7 +177,7 @@ def output_file(path: Path) -> Iterator[WatchedFile]:
             laspy.LasData(written.header, written.read_points(1))
 
 
-@dataclass
+@dataclass(eq=False)
 class Extent:
     """Counts and bounding box that the header needs, gathered from the records."""
 

@@ -8,7 +8,7 @@ in memory at once, however long they are.
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO, Final, NamedTuple
@@ -88,7 +88,8 @@ class Gathering:
     _batches: list[_Batch] = field(default_factory=list)
     _dropped: int = 0
     _nearest_m: float = np.inf
-    _low, _high = np.full(2, np.inf), np.full(2, -np.inf)
+    _low: NDArray[np.float64] = field(default_factory=partial(np.full, 2, np.inf))
+    _high: NDArray[np.float64] = field(default_factory=partial(np.full, 2, -np.inf))
 
     @property
     def standard(self) -> TimeStandard:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from spl_batch.numerics.compiled import njit
-from spl_batch.numerics.neighbours.place_grid import PlaceGrid
+from spl_batch.numerics.neighbours.point_grid import PointGrid
 from spl_batch.numerics.triangulation.delaunay import triangles
 
 RIM = 1.5
@@ -125,7 +125,7 @@ def tin_raster(
     if not len(asked):
         return out
     centres = (asked[:, ::-1] + 0.5) * size
-    nearest = PlaceGrid.of(vertices).nearest(centres)[:, 0]
+    nearest = PointGrid.of(vertices).nearest(centres)[:, 0]
     distance = np.sqrt(((vertices[nearest, :2] - centres) ** 2).sum(axis=1))
     r, c = asked[:, 0], asked[:, 1]
     lent = np.isnan(out[r, c]) & (distance <= RIM * size)

@@ -151,3 +151,13 @@ def test_prf_of_times_that_are_rounded_to_most_of_a_period_has_to_be_stated() ->
     shot = np.flatnonzero(np.random.default_rng(4).random(60_000) >= 0.02)
     time = np.rint(shot / 32_000 * 1e6 / 20) * 20 * 1e-6
     assert geometry.estimate_prf(geometry.shot_steps(time)) is None
+
+
+def test_beam_joins_the_trajectory_with_the_point() -> None:
+    track = Trajectory(np.array([0.0, 1.0]), np.array([[0.0, 0, 1000], [100.0, 0, 1000]]))
+    table = points(x=[53_000, 0], y=[4_000, 0], z=[0, 0], gps_time=[0.5, 7.0])
+    beams = geometry.beams(table, track)
+    assert beams.known.tolist() == [True, False]
+    assert beams.origin_m[0] == pytest.approx([50, 0, 1000])
+    assert beams.range_m[0] == pytest.approx(np.sqrt(9 + 16 + 1e6))
+    assert beams.direction[0] * beams.range_m[0] == pytest.approx([3, 4, -1000])

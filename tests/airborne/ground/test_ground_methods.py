@@ -131,3 +131,9 @@ def test_points_that_are_asked_for_are_told_what_they_are(method: str) -> None:
     whole = ground_mask(points, usable, settings)
     assert 0 < np.count_nonzero(whole & asked) < np.count_nonzero(usable & asked)
     assert np.array_equal(ground_mask(points, usable, settings, asked), whole & asked)
+
+
+def test_cliff_keeps_both_levels() -> None:
+    x, y = places(40_000, 100)
+    points = table(x, y, np.where(x < 50, 0.0, 20.0))
+    assert ground_of(points).mean() > 0.98

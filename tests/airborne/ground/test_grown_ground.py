@@ -268,3 +268,13 @@ def _goes_on(
                 denied[(k + 4) % 8] = LAYER_M + uneven_m < above < EDGE_M
                 fits[k] = above <= LAYER_M + uneven_m and least <= slope <= most
     return bool((fits & ~denied).any())
+
+
+def test_the_corner_of_a_plateau_is_ground() -> None:
+    rng = np.random.default_rng(7)
+    x, y = rng.uniform(0, 140, (2, 30_000))
+    plateau = (x < 70 + 0.3 * y) & (y < 90)
+    found = ground_of(table(x, y, 14.0 * plateau + rng.normal(0, 0.03, len(x))))
+    tip = plateau & (y > 80) & (x > 82)
+    assert tip.sum() > 150
+    assert found[tip].mean() > 0.8

@@ -210,3 +210,27 @@ def test_ground_does_not_go_on_to_roofs_of_a_hillside(
     found = ground_of(table(x, y, height + np.random.default_rng(3).normal(0, 0.03, len(x))))
     assert found[roof].mean() < 0.16
     assert found[~roof].mean() > 0.99
+
+
+def test_shrubs_of_a_dense_heath_are_no_ground() -> None:
+    """40 returns per m2, a sixth of them of the ground, the rest in shrubs up to a metre."""
+    x, y = places(36_000, 30)
+    rng = np.random.default_rng(7)
+    shrub = rng.random(len(x)) > 1 / 6
+    height = rng.normal(0, 0.03, len(x)) + np.where(shrub, rng.uniform(0.05, 1.0, len(x)), 0.0)
+    found = ground_of(table(x, y, 0.05 * x + height))
+    assert found[~shrub].mean() > 0.95
+    assert found[height > 0.3].mean() < 0.01
+    assert np.median(height[found & ~shrub]) == pytest.approx(0.0, abs=0.01)
+
+
+def test_forest_floor_is_found_between_rare_ground_returns() -> None:
+    """1.5 returns per m2, a tenth of them of the ground."""
+    x, y = places(60_000, 200)
+    rng = np.random.default_rng(6)
+    floor = 3 * np.sin(x / 30) + 2 * np.cos(y / 25)
+    leaf = rng.random(len(x)) > 0.1
+    height = rng.normal(0, 0.03, len(x)) + np.where(leaf, rng.uniform(2, 20, len(x)), 0.0)
+    found = ground_of(table(x, y, floor + height))
+    assert np.quantile(height[found], 0.99) < 0.5
+    assert found[~leaf].mean() > 0.95

@@ -181,3 +181,39 @@ def test_kept_noise_below_steep_ground_among_nearly_empty_cells_is_no_ground() -
     found = ground_of(table(x, y, z))
     assert not found[-3:].any()
     assert found[:-3].mean() > 0.98
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.5, 2.0])
+def test_a_low_node_of_a_smooth_slope_is_a_pit_and_its_neighbours_are_none(slope: float) -> None:
+    x, y = (v.ravel() + 0.5 for v in np.meshgrid(np.arange(9.0), np.arange(9.0)))
+    z = slope * x
+    z[40] -= 0.6
+    found = pits(np.column_stack([x, y, z]), np.arange(81), (9, 9))
+    assert np.flatnonzero(found).tolist() == [40]
+
+
+def test_the_bottom_of_a_ditch_is_no_pit() -> None:
+    x, y = (v.ravel() + 0.5 for v in np.meshgrid(np.arange(9.0), np.arange(9.0)))
+    z = np.where(np.abs(x - 4.5) < 0.6, -1.0, 0.0)
+    bottom = np.abs(x - 4.5) < 0.6
+    inner = (y > 2) & (y < 7)
+    assert not pits(np.column_stack([x, y, z]), np.arange(81), (9, 9))[bottom & inner].any()
+
+
+@pytest.mark.parametrize(
+    ("height_m", "doubtful", "below"),
+    [
+        (3.5, "all", False),  # lowest leaves of a crown that happen to agree
+        (3.5, "node", True),  # a roof, and trees over it
+        (3.5, "none", True),  # open ground far above what noise left
+        (1.5, "all", True),  # no crown begins so low
+    ],
+)
+def test_what_agrees_high_above_returns_below_leaves_must_be_firm(
+    height_m: float, doubtful: str, *, below: bool
+) -> None:
+    x, y = (v.ravel() + 0.5 for v in np.meshgrid(np.arange(9.0), np.arange(9.0)))
+    z = np.where((x.astype(int) + y.astype(int)) % 2, height_m, height_m + 0.1)
+    z[40] = 0.0
+    asked = {"all": np.ones(81, bool), "node": np.arange(81) == 40, "none": np.zeros(81, bool)}
+    assert pits(np.column_stack([x, y, z]), np.arange(81), (9, 9), asked[doubtful])[40] == below

@@ -267,3 +267,14 @@ def test_a_return_alone_under_a_deck_is_put_on_the_level_of_the_water_beside_it(
     x, y, z = (np.append(v[beside], add) for v, add in ((x, 52.0), (y, 52.0), (z, 50.2)))
     table = points(x, y, z)
     assert abs(flattened(table, level_of(table))["z"][-1] / 1000 - 50) < 0.02
+
+
+def test_a_pond_beside_a_lake_keeps_its_own_level() -> None:
+    rng = np.random.default_rng(3)
+    x, y, z, level = clear_water(rng, 0.5)
+    pond = (x > 80) & (y > 80)
+    z[pond], level[pond] = z[pond] - 4, level[pond] - 4
+    dam = ~pond & (x > 70) & (y > 70)
+    x, y, z, level = (v[~dam] for v in (x, y, z, level))
+    found = water_level(*quantised(x, y, z)) / 1000
+    assert np.abs(found - level).max() < 0.03

@@ -12,6 +12,7 @@ from spl_batch import api
 from spl_batch.airborne.tasks import index
 from spl_batch.airborne.tasks.file_tally import facts_of, merge, observe, spans_of
 from spl_batch.engine.watch.events import Event, PhaseStarted, TaskEnded
+from spl_batch.errors import InputError
 from spl_batch.formats.las.reader import iter_points
 from tests import surveys
 
@@ -174,3 +175,24 @@ def test_tallies_of_parts_add_up(tmp_path: Path) -> None:
     assert spans_of(joined) == spans_of(whole)
     assert joined.keys() == whole.keys()
     assert all(np.array_equal(joined[name], values) for name, values in whole.items())
+
+
+def test_a_part_that_could_not_be_read_once_is_read_by_the_next_run(
+    small: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = min((small.parent / "lines").glob("*.laz"))
+    read = index.iter_points
+
+    def failing(file: Path, *, start: int, **options: Any) -> Any:
+        if file == path and start == POINTS:
+            raise InputError(str(path), "the disk is away")
+        return read(file, start=start, **options)
+
+    monkeypatch.setattr(index, "iter_points", failing)
+    result, _ = events(small, until="index")
+    assert result.exit_status == 1
+    monkeypatch.setattr(index, "iter_points", read)
+    again, told = events(small, until="index")
+    assert again.exit_status == 0
+    (part,) = done(told, "index_part")
+    assert part.endswith("/1"), "the others are finished"

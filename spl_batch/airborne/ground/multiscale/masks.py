@@ -93,9 +93,9 @@ def multiscale_mask(places: Place, own: Mask, asked: Mask, sigma: Blocks = EVERY
     # Halves of heights: layers of twice the thickness are counted.
     heights = depths_below(-0.5 * off_m, x[at], y[at], no_depths(*evidence[:2]))
     # As thick as ranges scatter, or rough soil, where that layer ends: grass goes on.
-    told_m = sigma.over(depths.first, depths.values.shape[:2])
-    sigma_m = BARE * told_m
-    for thick_m in (told_m, np.maximum(told_m, rough_m)):
+    stated_m = sigma.over(depths.first, depths.values.shape[:2])
+    sigma_m = BARE * stated_m
+    for thick_m in (stated_m, np.maximum(stated_m, rough_m)):
         sigma_m = np.where(ends_within(heights, 0.5 * ABOVE_SIGMA * thick_m), thick_m, sigma_m)
     above, below = (
         Blocks(many * np.maximum(spread_below(depths, share), sigma_m), depths.first)

@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from spl_batch.airborne.ground.point_spacing import Blocks
 from spl_batch.numerics.compiled import njit
-from spl_batch.numerics.neighbours.place_grid import PlaceGrid
+from spl_batch.numerics.neighbours.point_grid import PointGrid
 from spl_batch.numerics.triangulation.tin import (
     Tin,
     facet_heights,
@@ -87,7 +87,7 @@ def near_surface(surface: Surface, places: Place, asked: Mask) -> Near:
     beyond = np.flatnonzero(facet < 0)
     if len(beyond):
         place = np.column_stack([x[beyond], y[beyond]])
-        nearest = PlaceGrid.of(surface.nodes).nearest(place)[:, 0]
+        nearest = PointGrid.of(surface.nodes).nearest(place)[:, 0]
         node, rise = surface.nodes[nearest], surface.slopes[nearest]
         off[beyond] = z[beyond] - (node[:, 2] + ((place - node[:, :2]) * rise).sum(axis=1))
         slope[beyond] = np.hypot(*rise.T)

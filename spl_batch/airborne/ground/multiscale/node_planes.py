@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.ground.scales import DEPTH_M, SIDES, SIGMA_M, SPREADS
 from spl_batch.numerics.compiled import njit
-from spl_batch.numerics.neighbours.place_grid import PlaceGrid
+from spl_batch.numerics.neighbours.point_grid import PointGrid
 
 NEAREST: Final = 20
 PLANE_REACH_M: Final = 6.0
@@ -104,7 +104,7 @@ def _far_below(nodes: Float, known: Mask, asked: Mask) -> Mask:
     out = np.zeros(len(nodes), np.bool_)
     index, judged = np.flatnonzero(known), np.flatnonzero(asked)
     if len(index) > NEAREST and len(judged):
-        near = PlaceGrid.of(nodes[index]).nearest(nodes[judged], NEAREST)
+        near = PointGrid.of(nodes[index]).nearest(nodes[judged], NEAREST)
         out[judged] = _below_planes(nodes, judged, index[near])
     return out
 
@@ -125,7 +125,7 @@ def _below_planes(nodes: Float, judged: Index, around: Index) -> Mask:
 
 def nearest_nodes(nodes: Float) -> Index:
     """Those nearest to each of more than :data:`NEAREST` nodes, itself first: (n, NEAREST + 1)."""
-    return PlaceGrid.of(nodes).nearest(nodes, NEAREST + 1)
+    return PointGrid.of(nodes).nearest(nodes, NEAREST + 1)
 
 
 @njit()

@@ -134,13 +134,15 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     mismatched += lowered
     bad += [*without_channel, *mismatched]
     if not any(facts.n_points for facts in good):
-        empty = (InputError(str(facts.path), NO_POINTS) for facts in good)
-        return Inputs((), (*bad, *empty), trajectory, ReferenceFiles(), crs, ())
+        bad += [InputError(str(facts.path), NO_POINTS) for facts in good]
+        faults_of = _unusable(trajectory, workflow, crs, ())
+        nothing = ReferenceFiles()
+        return Inputs((), tuple(bad), trajectory, nothing, crs, (), no_trajectory=faults_of)
     if workflow.survey.vertical_crs is not None:
         crs = with_vertical(crs, workflow.survey.vertical_crs, "survey.vertical_crs")
     good = [facts.in_metres(Units.of(crs)) for facts in good]
-    refuse_uncut(workflow, base, crs, good)
     areas, apart = read_shapes(workflow, base, crs, good)
+    refuse_uncut(workflow, base, crs, good)
     geoid = workflow.outputs.geoid
     if geoid is not None:
         Geoid(geoid.grid, base / geoid.grid, crs).crs_above(geoid.crs)
@@ -212,15 +214,17 @@ def _unusable(
     faults: list[InputError] = []
     elsewhere: list[InputError] = []
     named_crs = crs is None or workflow.survey.trajectory_crs is not None
-    survey = boxes_of(files)
+    survey = boxes_of(files) if files else None
     for path in trajectory:
         try:
             first = first_records(path)
         except InputError as fault:
             faults.append(fault)
             continue
+        if first is None or survey is None:
+            continue
         unnamed = not named_crs and path.suffix.lower() not in SBET_SUFFIXES
-        if first is not None and unnamed and (text := in_other_unit(first, crs, survey)):
+        if unnamed and (text := in_other_unit(first, crs, survey)):
             elsewhere.append(InputError(str(path), text))
     if trajectory and len(faults) + len(elsewhere) == len(trajectory):
         raise WorkflowError(f"survey.trajectory: {'; '.join(told_together([*faults, *elsewhere]))}")

@@ -18,14 +18,17 @@ from spl_batch.numerics.neighbours.kdtree import U0, U1
 PER_CELL: Final = 2.0
 """Places in a cell, on the average [count]; speed only."""
 
+FULLEST: Final = 64
+"""Cells become smaller where one holds more, while they are few [count]; speed only."""
+
 _SURELY: Final = 1.0 - 1e-6
-"""Part of a ring's distance within which all was seen: quotients tell the cells of places."""
+"""Part of a ring's distance within which all was seen: a quotient that gives a cell is rounded."""
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
-class PlaceGrid(NamedTuple):
+class PointGrid(NamedTuple):
     """Places by cell, row by row."""
 
     #: (n,): coordinates and number of each place.
@@ -38,18 +41,23 @@ class PlaceGrid(NamedTuple):
     edge: float  #: Edge of a cell [unit of the places].
 
     @classmethod
-    def of(cls, places: Float) -> "PlaceGrid":
+    def of(cls, places: Float) -> "PointGrid":
         """Grid of some places.
 
         Parameters
         ----------
         places : (n, 2) float64
-            Places, n > 0; further columns do not count.
+            Places, finite, n > 0; further columns do not count.
         """
         x, y = places[:, 0].copy(), places[:, 1].copy()
         wide, high, share = float(np.ptp(x)), float(np.ptp(y)), PER_CELL / len(x)
         edge = max(math.sqrt(share * wide * high), share * max(wide, high)) or 1.0
         cells = group_by_cell(x, y, edge)
+        # Where some lie far from the others, cells of the average would hold too many of these.
+        for _ in range(3):
+            if np.diff(cells.start).max() > FULLEST and cells.rows * cells.columns < 4 * len(x):
+                edge /= 2.0
+                cells = group_by_cell(x, y, edge)
         corner = math.floor(y.min() / edge), math.floor(x.min() / edge)
         x, y = x[cells.order], y[cells.order]
         return cls(x, y, cells.order, cells.start, (cells.rows, cells.columns), corner, edge)
@@ -75,7 +83,7 @@ class PlaceGrid(NamedTuple):
 
 
 @njit()
-def _nearest(grid: PlaceGrid, asked: Float, reach: float, out: Index) -> None:
+def _nearest(grid: PointGrid, asked: Float, reach: float, out: Index) -> None:
     """Fill; -1 at first."""
     xs, ys, number, start, (rows, columns), corner, edge = grid
     farthest = max(rows, columns)

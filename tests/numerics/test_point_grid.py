@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from spl_batch.numerics.neighbours.place_grid import PlaceGrid
+from spl_batch.numerics.neighbours.point_grid import PointGrid
 
 COORDINATES = st.integers(-40, 40).map(lambda whole: whole * 0.25) | st.floats(-1e3, 1e3)
 PLACES = arrays.arrays(np.float64, st.tuples(st.integers(1, 40), st.just(2)), elements=COORDINATES)
@@ -32,7 +32,7 @@ def test_they_are_the_nearest_of_all_and_ties_go_by_number(
     places: np.ndarray, asked: np.ndarray, count: int, reach: float, off: float
 ) -> None:
     places, asked = places + off, asked + off
-    found = PlaceGrid.of(places).nearest(asked, count, reach)
+    found = PointGrid.of(places).nearest(asked, count, reach)
     assert np.array_equal(found, by_distance(places, asked, count, reach))
 
 
@@ -41,5 +41,14 @@ def test_clusters_and_gaps_change_nothing() -> None:
     middles = rng.uniform(-500.0, 500.0, (5, 2))
     places = rng.choice(middles, 400) + rng.exponential(3.0, (400, 2))
     asked = rng.uniform(-2000.0, 2000.0, (300, 2))
-    found = PlaceGrid.of(places).nearest(asked, 21)
+    found = PointGrid.of(places).nearest(asked, 21)
     assert np.array_equal(found, by_distance(places, asked, 21, math.inf))
+
+
+def test_a_dense_heap_and_a_stray_far_away_change_nothing() -> None:
+    rng = np.random.default_rng(8)
+    heap = np.vstack([rng.uniform(100.0, 160.0, (500, 2)), np.full((200, 2), 130.0), [[5e3, 5e3]]])
+    for places in (heap, heap[500:700]):
+        grid = PointGrid.of(places)
+        assert np.array_equal(grid.nearest(heap, 9), by_distance(places, heap, 9, math.inf))
+    assert np.diff(PointGrid.of(heap).start).max() < 600, "not all of the heap in one cell"
