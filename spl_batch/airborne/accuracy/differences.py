@@ -7,7 +7,7 @@ per cell is what it is.
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Final
 
 import numpy as np
@@ -199,23 +199,30 @@ def _put_highest(
             out[cell[k]] = i
 
 
-def return_differences(xyz_m: NDArray[np.float64], reference: Reference) -> Differences:
+def return_differences(
+    clouds: Iterable[NDArray[np.float64]], reference: Reference
+) -> Iterator[Differences]:
     """Kept returns minus the reference's nearest ground or roof, as [W17 5.4] compares filters.
 
+    ``clouds``: (n, 3) float64 each, returns [m]; they are held one after the other. Of each:
     ``ground``, ``building``: of the returns within :data:`RETURNS_M` of a reference point of that
     class, horizontally and in height.
     """
     known = reference.without_noise()
-    out: Differences = {}
+    grids: dict[str, tuple[NDArray[np.float64], PointGrid | None]] = {}
     for name, code in (("ground", CLASS_GROUND), ("building", CLASS_BUILDING)):
         points = known.xyz_m[known.classification == code]
-        out[name] = np.empty(0, np.float32)
-        if len(points):
-            nearest = PointGrid.of(points).nearest(xyz_m, reach=RETURNS_M)[:, 0]
-            near = nearest >= 0
-            off = xyz_m[near, 2] - points[nearest[near], 2]
-            out[name] = off[np.abs(off) <= RETURNS_M].astype(np.float32)
-    return out
+        grids[name] = points, PointGrid.of(points) if len(points) else None
+    for xyz_m in clouds:
+        out: Differences = {}
+        for name, (points, grid) in grids.items():
+            out[name] = np.empty(0, np.float32)
+            if grid is not None:
+                nearest = grid.nearest(xyz_m, reach=RETURNS_M)[:, 0]
+                near = nearest >= 0
+                off = xyz_m[near, 2] - points[nearest[near], 2]
+                out[name] = off[np.abs(off) <= RETURNS_M].astype(np.float32)
+        yield out
 
 
 def _by_class(

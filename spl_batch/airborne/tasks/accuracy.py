@@ -85,7 +85,7 @@ def accuracy(args: Mapping[str, Any], context: Context) -> Produced:
 def _of_returns(
     known: Reference, core: Bounds, args: Mapping[str, Any], context: Context
 ) -> Tallies:
-    """Kept returns of a square against the reference."""
+    """Kept returns of a square against the reference, held a tile at a time."""
     if context.workflow.filter.method == "none":
         return {}
     labels, shifts = units_of(args, ["noise_class"]), read_shifts(args, context.store)
@@ -95,12 +95,15 @@ def _of_returns(
         wanted: NDArray[np.bool_] = some & (table["noise_class"] == NOISE_SIGNAL)
         return wanted
 
-    held, _ = read_region(
-        context.store, list(map(parse_cell, args["tiles"])), core, ("x", "y", "z"), labels,
-        ordered=False, keep=chosen, shifts=shifts,
-    )  # fmt: skip
-    xyz = np.column_stack([held[axis] * QUANTUM_M for axis in "xyz"])
-    return tallies(return_differences(xyz, known))
+    def returns_of(tile: CellId) -> NDArray[np.float64]:
+        held, _ = read_region(
+            context.store, [tile], core, ("x", "y", "z"), labels, ordered=False,
+            keep=chosen, shifts=shifts,
+        )  # fmt: skip
+        return np.column_stack([held[axis] * QUANTUM_M for axis in "xyz"])
+
+    clouds = map(returns_of, map(parse_cell, args["tiles"]))
+    return add_up(map(tallies, return_differences(clouds, known)))
 
 
 def _own_points(known: Reference, tiles: Sequence[str], context: Context) -> tuple[int, int]:

@@ -252,7 +252,9 @@ def deliver_tile(args: Mapping[str, Any], context: Context) -> Produced:
         *("flags",) * bool(asked.drop),
     )
     lines = read_shifts(args, context.store)
-    table, _ = read_region(context.store, [cell], None, columns, labels, shifts=lines)
+    table, _ = read_region(
+        context.store, [cell], None, columns, labels, ordered=False, shifts=lines
+    )
     record = None if lines is None else lines.record()
     labelled = table["classification"].copy()
     _keep(labelled, table["noise_class"], context)

@@ -254,6 +254,6 @@ def test_kept_returns_are_compared_with_the_nearest_ground_and_roof_that_is_near
         np.zeros(4, np.bool_),  # those of the margin count as well
     )
     kept = np.array([[0.1, 0, 10.2], [0.9, 0.1, 9.9], [5, 0, 20.3], [5, 0, 21], [3, 0, 10]])
-    found = return_differences(kept, reference)
+    (found,) = return_differences([kept], reference)
     np.testing.assert_allclose(found["ground"], [0.2, -0.1], atol=1e-6)
     np.testing.assert_allclose(found["building"], [0.3], atol=1e-6)
