@@ -100,7 +100,7 @@ def _by_square(
 
 def checkpoints(args: Mapping[str, Any], context: Context) -> Produced:
     """Compare the terrain with checkpoints."""
-    # What is wrong with single ones was told before the work began.
+    # What is wrong with single ones was reported before the work began.
     known, _, _ = read_named(Path(args["path"]), context.crs, context.workflow.reference)
     found = [_record(point, _terrain_m(point, context)) for point in known]
     beyond = [one["id"] for one in found if one["error_m"] is None]
