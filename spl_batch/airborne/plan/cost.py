@@ -98,7 +98,7 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     stretches = sum(-(-s.facts.n_points // STRETCH_POINTS) for s in sources)
     files = [s.facts.n_points for s in sources]
     units = Units.of(survey.inputs.crs)
-    held = needs(pieces, workflow, files, side, survey.inputs.trajectory, units)
+    held = needs(pieces, workflow, files, side, units)
     heaviest = max(held, key=lambda need: need.memory_bytes)
     rates, measured = measured_rates(RATES_POINTS_PER_S, context)
     compared = sum(facts.n_points for facts in survey.inputs.reference.usable)

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from pyproj import CRS
 
 from spl_batch.airborne.plan.inputs.file_positions import (
@@ -64,11 +65,12 @@ from spl_batch.formats.las.reader import LasFacts
 from spl_batch.formats.named_areas import NamedArea
 from spl_batch.formats.trajectory.records import SBET_SUFFIXES, first_records
 from spl_batch.formats.units import Units
+from spl_batch.lattice.tables import COLUMNS
 
 NO_POINTS = "the file holds no points; name files that hold some, or copy it again"
 """What is wrong with a file where no other has points."""
 
-MAX_POINTS = 2**32 - 1
+MAX_POINTS = int(np.iinfo(COLUMNS["index"].dtype).max)
 """Points that one file may hold [count]."""
 
 
