@@ -127,22 +127,10 @@ def _as_one(places: NDArray[np.int64]) -> NDArray[np.void]:
 
 
 def _as_arrays(product: str, found: Tallies) -> dict[str, NDArray[Any]]:
-    """Counts as they are kept; 32 bits hold errors of up to 214 km."""
-    arrays: dict[str, NDArray[Any]] = {}
-    for name, tally in found.items():
-        arrays[f"{product}.{name}.steps"] = tally.steps.astype(np.int32)
-        arrays[f"{product}.{name}.counts"] = tally.counts.astype(np.uint32)
-    return arrays
-
-
-def _as_tallies(arrays: Mapping[str, NDArray[Any]]) -> Tallies:
-    """Counts of a square, by ``PRODUCT.CLASS``."""
-    names = [name.removesuffix(".steps") for name in arrays if name.endswith(".steps")]
+    """Steps and counts as they are kept; 32 bits hold errors of up to 214 km."""
     return {
-        name: Tally(
-            arrays[f"{name}.steps"].astype(np.int64), arrays[f"{name}.counts"].astype(np.int64)
-        )
-        for name in names
+        f"{product}.{name}": np.array([tally.steps, tally.counts], np.int32)
+        for name, tally in found.items()
     }
 
 
@@ -240,6 +228,6 @@ def _squares(
             # No cell is named twice by one square.
             total[arrays["cell"]] += arrays["total"]
             count[arrays["cell"]] += arrays["count"]
-        yield _as_tallies(arrays)
+        yield {k: Tally(*v.astype(np.int64)) for k, v in arrays.items() if k not in _MAP}
     if damaged is not None:
         raise damaged
