@@ -57,19 +57,13 @@ def _item_ids(hrefs: Sequence[str]) -> dict[str, str]:
 
     Names that are too long for that, or would be those of two files, end in a hash.
     """
-    plain = {href: plain_name(href) for href in hrefs}
-    taken = Counter(name.casefold() for name in plain.values())
-    return {
-        href: name
-        if taken[name.casefold()] == 1 and len(name.encode()) <= LONGEST_ID
-        else _short_id(name, href)
-        for href, name in plain.items()
-    }
-
-
-def _short_id(name: str, href: str) -> str:
-    start = name.encode()[: LONGEST_ID - 17].decode(errors="ignore")
-    return f"{start}-{hashlib.blake2b(href.encode(), digest_size=8).hexdigest()}"
+    names = {href: plain_name(href) for href in hrefs}
+    taken = Counter(name.casefold() for name in names.values())
+    for href, name in names.items():
+        if taken[name.casefold()] > 1 or len(name.encode()) > LONGEST_ID:
+            start = name.encode()[: LONGEST_ID - 17].decode(errors="ignore")
+            names[href] = f"{start}-{hashlib.blake2b(href.encode(), digest_size=8).hexdigest()}"
+    return names
 
 
 def write_stac(output: Path, delivery: Delivery) -> list[Path]:
