@@ -135,7 +135,7 @@ def test_the_noise_that_is_expected_at_the_returns_of_a_cell_decides_how_many_co
     floor = np.column_stack([rng.uniform((-40, 20), (20, 80), (14_000, 2)), np.full(14_000, 10.0)])
     table = table_of(np.concatenate([floor, [[-9.5, 50.5, 12.0], [-9.5, 50.5, 11.9]]]))
     if expected is not None:
-        density = np.full(len(table), 1e-4, np.float32)
+        density = np.full(len(table), 1e-9, np.float32)
         density[-2:], density[-3] = (expected, np.nan), np.nan
         table = table.with_columns(noise_density=density)
     dsm = surfaces(table, CELL, SETTINGS, 0.05)["dsm"]
