@@ -15,21 +15,15 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
-from spl_batch.airborne.ground.scales import WIDE_M
+from spl_batch.airborne.ground.scales import DAMPING_M2, PLANE_M, WIDE_M
 from spl_batch.airborne.ground.smrf import fill_gaps
 from spl_batch.numerics.cell_groups import group_by_cell
 from spl_batch.numerics.compiled import njit
 
-REACH_M = 12.0
+REACH_M = 2 * PLANE_M
 """Ground up to this far from a lattice node counts there: a crown seldom hides as much [m]."""
-
-_FAR_M = REACH_M / 2
-"""Where the ground's centre is farther than this from a lattice node its plane is not carried on
-[m]."""
-
-_DAMPING_M2 = 0.1
-"""Added to the horizontal scatter of that ground: a slope that it does not tell is none [m2]."""
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -119,15 +113,14 @@ def _planes(
             if n == 0.0:
                 continue
             x, y, z = x / n, y / n, z / n
-            if x * x + y * y > _FAR_M**2:
+            if x * x + y * y > PLANE_M**2:  # the ground around is too far to be carried on
                 continue
-            xx, yy = xx / n - x * x + _DAMPING_M2, yy / n - y * y + _DAMPING_M2
+            xx, yy = xx / n - x * x + DAMPING_M2, yy / n - y * y + DAMPING_M2
             xy, xz, yz = xy / n - x * y, xz / n - x * z, yz / n - y * z
             east, north = yy * xz - xy * yz, xx * yz - xy * xz
             out[r, c] = base + (z - (east * x + north * y) / (xx * yy - xy * xy))
 
 
-@njit()
 def trend_at(trend: Trend, x: Float, y: Float) -> Float:
     """Height of a trend at places.
 
@@ -143,13 +136,6 @@ def trend_at(trend: Trend, x: Float, y: Float) -> Float:
     (n,) float64
         Height [m].
     """
-    out = np.empty(len(x))
-    for i in range(len(x)):
-        u, v = x[i] / WIDE_M - trend.left, y[i] / WIDE_M - trend.bottom
-        c, r = int(np.floor(u)), int(np.floor(v))
-        u -= c
-        v -= r
-        south = (1.0 - u) * trend.height[r, c] + u * trend.height[r, c + 1]
-        north = (1.0 - u) * trend.height[r + 1, c] + u * trend.height[r + 1, c + 1]
-        out[i] = (1.0 - v) * south + v * north
-    return out
+    at = y / WIDE_M - trend.bottom, x / WIDE_M - trend.left
+    height: Float = ndimage.map_coordinates(trend.height, at, order=1, mode="nearest")
+    return height

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.ground.scales import BESIDE_M, CELL_M, DEPTH_M, MOST
+from spl_batch.airborne.ground.scales import BESIDE_M, CELL_M, DEPTH_M, EDGE_M, MOST
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.numerics.cell_groups import Cells
 from spl_batch.numerics.compiled import njit
@@ -26,10 +26,9 @@ _CROWDED = 10
 
 _SHEET_POINTS = 2 * SUPPORTED
 _SHEET_M = 0.8
-_CLEAR_M = 1.5
 """A sheet is a hard surface, roof or bare ground: this many points in this thickness, as a
 tilt of 35 degrees gives it in a cell of 1 m, and most of what lies between the node below it and
-this height above it. Leaves fill twice the thickness, and do not pass."""
+:data:`EDGE_M` above it. Leaves fill twice the thickness, and do not pass."""
 
 ENDS = 0.25
 """A layer ends if the next one, as thick, holds at most this share of its points: more in grass."""
@@ -53,7 +52,8 @@ class Nodes(NamedTuple):
     cell : (m,) int64
         Cell of the grid.
     points : (m,) int64
-        Points in the layer [count].
+        Points in the layer, were it not thinned: where grass or a slope goes on above it, a few lie
+        low, but more hold them up [count].
     doubtful : (m,) bool
         One or two points below many others in the same cell.
     buried : (m,) bool
@@ -141,16 +141,15 @@ def _lowest_layers(
             if bottom < 0:
                 continue
             low = heights[bottom] if bottom > 0 else low
-            layer_m = thickness
+            count[used] = thin = _layer_mean(own, low, thickness, xyz[used])
             if n >= _CROWDED and not _ends(own[2], low, thickness):
-                layer_m = thinnest * thickness
-            count[used] = _layer_mean(own, low, layer_m, xyz[used])
+                thin = _layer_mean(own, low, thinnest * thickness, xyz[used])
             cell[used] = c
-            doubtful[used] = n >= _CROWDED and count[used] < SUPPORTED
+            doubtful[used] = n >= _CROWDED and thin < SUPPORTED
             buried[used] = False
-            if count[used] < SUPPORTED:
+            if thin < SUPPORTED:
                 _sort_heights(own[2], heights)
-                buried[used] = _below_sheet(heights, bottom + count[used])
+                buried[used] = _below_sheet(heights, bottom + thin)
             used += 1
     return used
 
@@ -202,7 +201,7 @@ def _below_sheet(heights: NDArray[np.float64], first: int) -> bool:
             end += 1
         if end - i < _SHEET_POINTS:
             continue
-        while clear < len(heights) and heights[clear] <= heights[i] + _SHEET_M + _CLEAR_M:
+        while clear < len(heights) and heights[clear] <= heights[i] + _SHEET_M + EDGE_M:
             clear += 1
         if end - i >= MOST * (clear - first):
             return True

@@ -25,13 +25,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, special
 
-from spl_batch.airborne.ground.lowest_layers import ENDS
+from spl_batch.airborne.ground.lowest_layers import ENDS, SUPPORTED
 from spl_batch.airborne.ground.morphology import object_cells
 from spl_batch.airborne.ground.node_grids import lowest_nodes, plane_heights
 from spl_batch.airborne.ground.point_spacing import Blocks, no_counts, quantiles
 from spl_batch.airborne.ground.scales import (
     BLOCK_M,
     CELL_M,
+    DEPTH_M,
     LEVELS,
     SIGMA_M,
     WALL_M,
@@ -41,14 +42,14 @@ from spl_batch.airborne.ground.scales import (
 from spl_batch.numerics.compiled import njit
 
 _AGREE_M = WALL_M / 2
-_AGREE_SIGMA = (2.0, 4.0)
+_AGREE_SIGMA = 2.0
 """A node is higher than the coarser ones by more than so many of their spreads, at most this much
-[m]: where most nodes are means of well-filled layers, and where they are single points. With 3 for
-both heath is 2.4 cm higher; without the most, eucalypt forest 17 cm."""
+[m]: with 3 heath is 2.4 cm higher; without the most, eucalypt forest 17 cm."""
 
 _HIGH_SHARE = (0.3, 0.35)
-"""With more such nodes than this share a block takes the coarser cell: of the same two kinds. With
-.3 for both ISPRS 11 loses 7 points, with .35 heath is 2.4 cm higher."""
+"""With more such nodes than this share a block takes the coarser cell: where most nodes are means
+of well-filled layers, and where they are single points. With .3 for both ISPRS 11 loses 7 points,
+with .35 heath is 2.1 cm higher."""
 
 ABOVE_SIGMA: Final = 2.5
 """Ground reaches above a surface by so many spreads of most points below it, as plants stand
@@ -61,11 +62,11 @@ MEDIAN: Final = 0.5
 """Share of the points below a surface that tells the spread of most of its points."""
 
 _PIT_SLOPE = 1.5
-_PIT_RANK = 3
-"""A low outlier lies below the third lowest of the eight cells around by more than this slope."""
+"""A low outlier lies below the third lowest of the eight cells around, so many as make a layer, by
+more than this slope."""
 
 _DEPTH_M = 0.01
-_DEPTHS = 50
+_DEPTHS = round(2 * DEPTH_M / _DEPTH_M)
 """Depths below a surface are counted by steps of this, so many, and one for all deeper ones [m]."""
 
 EVERYWHERE: Final = Blocks(np.full((1, 1), SIGMA_M), (0, 0))
@@ -104,8 +105,8 @@ def low_outliers(xyz: Float) -> Mask:
     lowest = lowest_nodes(xyz, np.ones(len(xyz), np.bool_), WIDE_M)
     height = _heights(lowest, xyz[:, 2])
     around = _neighbours(np.where(np.isnan(height), np.inf, height))
-    around.partition(_PIT_RANK - 1, axis=0)
-    floor = around[_PIT_RANK - 1] - _PIT_SLOPE * WIDE_M
+    around.partition(SUPPORTED - 1, axis=0)
+    floor = around[SUPPORTED - 1] - _PIT_SLOPE * WIDE_M
     floor[np.isinf(floor)] = -np.inf
     found: Mask = xyz[:, 2] < floor[row, column]
     return found
@@ -162,10 +163,10 @@ def agreeing_nodes(
         at = row[current], column[current]
         count, layers = (_in_blocks(at, of, shape) for of in (slice(None), filled[current]))
         thick = 2.0 * layers >= count
-        many, most = (np.where(thick, *of) for of in (_AGREE_SIGMA, _HIGH_SHARE))
+        most = np.where(thick, *_HIGH_SHARE)
         spread = np.maximum(scatter_below(xyz, coarser, grid, edge_m), sigma_m)
         above = xyz[current, 2] - plane_heights(xyz, current, grid, edge_m)
-        disagree = above > np.minimum(many * spread, _AGREE_M)[at]
+        disagree = above > np.minimum(_AGREE_SIGMA * spread, _AGREE_M)[at]
         share = _in_blocks(at, disagree, shape) / np.maximum(count, 1.0)
         stays = going & (share <= most)
         chosen[current[stays[at]]] = True

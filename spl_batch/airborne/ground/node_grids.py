@@ -6,11 +6,9 @@ Grids lie on the absolute lattice of their cell size; a cell names its node by n
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.ground.scales import DAMPING_M2
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.nearest_cells import nearest_cells
-
-_DAMPING_M2 = 0.05
-"""Added to the scatter of places when a plane is fitted, per node [m2]."""
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -136,7 +134,7 @@ def _plane_heights(
             out[k] = np.nan
             continue
         x, y, z = x / n, y / n, z / n
-        xx, yy, xy = xx / n - x * x + _DAMPING_M2, yy / n - y * y + _DAMPING_M2, xy / n - x * y
+        xx, yy, xy = xx / n - x * x + DAMPING_M2, yy / n - y * y + DAMPING_M2, xy / n - x * y
         xz, yz = xz / n - x * z, yz / n - y * z
         scale = xx * yy - xy * xy
         east, north = (yy * xz - xy * yz) / scale, (xx * yz - xy * xz) / scale

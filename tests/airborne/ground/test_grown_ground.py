@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.ground.ground_trend import fit_trend, trend_at
 from spl_batch.airborne.ground.multiscale.grown_ground import (
-    EAVE_M,
-    EDGE_M,
     ISLAND,
     ROUNDS,
     barred,
@@ -22,7 +20,7 @@ from spl_batch.airborne.ground.node_grids import lowest_nodes, nearest_node
 from spl_batch.airborne.ground.scales import (
     APART_M,
     BESIDE_M,
-    HIGH_M,
+    EDGE_M,
     LAYER_M,
     NARROW_M,
     ROUGH_M,
@@ -61,13 +59,16 @@ def terraces(seed: int) -> tuple[Float, NDArray[np.int64], Mask]:
 
 
 @pytest.mark.parametrize(("scene", "more"), [(terraces, 25), (hillside, 5)])
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(("seed", "point_m"), [(0, 0.4), (1, 0.4), (1, 1.8)])
 def test_nodes_that_ground_goes_on_to_are_those_of_a_slow_twin(
-    scene: Callable[[int], tuple[Float, NDArray[np.int64], Mask]], more: int, seed: int
+    scene: Callable[[int], tuple[Float, NDArray[np.int64], Mask]],
+    more: int,
+    seed: int,
+    point_m: float,
 ) -> None:
     xyz, grid, ground = scene(seed)
-    found = grown(xyz, grid, nearest_node(grid), ground, 1.0)
-    assert np.array_equal(found, _grown(xyz, grid, ground))
+    found = grown(xyz, grid, nearest_node(grid), ground, np.full(len(xyz), point_m))
+    assert np.array_equal(found, _grown(xyz, grid, ground, max(point_m, 1.0)))
     assert found.sum() > ground.sum() + more
 
 
@@ -78,7 +79,9 @@ def test_nothing_grows_from_a_few_nodes_on_a_roof() -> None:
     assert 6 < len(few) < ISLAND
     ground = ~upper
     ground[few] = True
-    assert not grown(xyz, grid, nearest_node(grid), ground, 1.0)[upper].sum() > len(few)
+    assert not grown(xyz, grid, nearest_node(grid), ground, np.ones(len(xyz)))[upper].sum() > len(
+        few
+    )
 
 
 @pytest.mark.parametrize(("gap_m", "grows"), [(0.0, True), (2.0, False)])
@@ -91,8 +94,8 @@ def test_the_side_of_a_dam_on_even_ground_is_climbed_from_its_foot_but_no_roof(
     grid = lowest_nodes(xyz, np.ones(len(x), dtype=np.bool_), 1.0)
     ground = (np.abs(x - 35) > 3) & ((z == 0) | (y > 4) & (x < 35))
     top = (np.abs(x - 35) < 3) & (x <= 35)
-    assert barred(xyz, grid, ground, 1.0)[1].all()
-    assert grown(xyz, grid, nearest_node(grid), ground, 1.0)[top].mean() == grows
+    assert barred(xyz, grid, ground)[1].all()
+    assert grown(xyz, grid, nearest_node(grid), ground, np.ones(len(xyz)))[top].mean() == grows
 
 
 @pytest.mark.parametrize("stretched", [1.0, 2.5])
@@ -100,7 +103,7 @@ def test_the_side_of_a_dam_on_even_ground_is_climbed_from_its_foot_but_no_roof(
 def test_nodes_between_two_steps_are_those_of_a_slow_twin(seed: int, stretched: float) -> None:
     xyz, grid, ground = hillside(seed)
     xyz = xyz * [1.0, 1.0, stretched]
-    roof, even = barred(xyz, grid, ground, 1.0)
+    roof, even = barred(xyz, grid, ground)
     trend = fit_trend(xyz[ground], xyz[:, 0], xyz[:, 1])
     east, north = (
         trend_at(trend._replace(height=np.gradient(trend.height, WIDE_M, axis=a)), *xyz[:, :2].T)
@@ -117,8 +120,8 @@ def test_nodes_between_two_steps_are_those_of_a_slow_twin(seed: int, stretched: 
         stands = (
             tilt[*cell] > TILT
             and np.hypot(*(known - cell).T).min() <= WIDE_M
-            and off[*cell] > EAVE_M / 2
-            and 0 < min(_fall_m(off, height, cell, way * along) for way in (1, -1)) < HIGH_M
+            and off[*cell] > EDGE_M / 2
+            and all(_ends(off, cell, way * along) for way in (1, -1))
         )
         low, high = np.maximum(cell - round(NARROW_M), 0), cell + round(NARROW_M) + 1
         level = tilt[low[0] : high[0], low[1] : high[1]].max() <= TILT
@@ -127,36 +130,28 @@ def test_nodes_between_two_steps_are_those_of_a_slow_twin(seed: int, stretched: 
     assert ends > 5
 
 
-def _fall_m(off: Float, height: Float, cell: NDArray[np.int64], way: Float) -> float:
-    """How far below the cell the way lies just behind its first step down; 0 without one."""
-    passed = {}
-    for step in range(round(NARROW_M) + round(BESIDE_M) + 1):
+def _ends(off: Float, cell: NDArray[np.int64], way: Float) -> bool:
+    """Whether the way from the cell has a step down."""
+    passed: dict[int, float] = {}
+    for step in range(round(NARROW_M) + 1):
         at = np.rint(cell + step * way).astype(int)
         if (at < 0).any() or (at >= off.shape).any():
             break
         if np.isfinite(off[*at]):
-            passed[step] = off[*at], height[*at]
-    steps = [
-        step
-        for step, (here, _) in passed.items()
-        if step <= NARROW_M
-        and any(
-            here <= min(off[*cell], passed[back][0]) - EAVE_M
-            for back in range(step - round(BESIDE_M), step)
-            if back in passed
-        )
-    ]
-    if not steps:
-        return 0.0
-    feet = [z for step, (_, z) in passed.items() if steps[0] <= step <= steps[0] + BESIDE_M]
-    return max(float(height[*cell] - min(feet)), EAVE_M)
+            passed[step] = off[*at]
+    return any(
+        here <= min(off[*cell], passed[back]) - EDGE_M
+        for step, here in passed.items()
+        for back in range(step - round(BESIDE_M), step)
+        if back in passed
+    )
 
 
 def test_a_rim_is_an_edge_and_neither_a_deck_nor_a_plain_is() -> None:
     height = np.zeros((60, 110))
     height[:, 30:] = 8.0
     height[25:35, 5:30] = 8.0
-    found = edges(height, height > 4, 1.0)
+    found = edges(height, height > 4)
     assert not found[25:35, 5:25].any()
     assert found[:15, 30:68].all()
     assert not found[:, 72:].any()
@@ -167,9 +162,9 @@ def test_what_widens_behind_its_end_is_a_corner_and_a_pier_is_none() -> None:
     row, column = np.mgrid[0:60, 0:80]
     across = np.abs(row - 30)
     height = np.where(across < 40 - column, 5.0, 0.0)
-    assert edges(height, height > 0, 1.0)[26:35, 34].all()
+    assert edges(height, height > 0)[26:35, 34].all()
     pier = np.where((column < 20) | ((across < 5) & (column < 60)), 5.0, 0.0)
-    assert not edges(pier, pier > 0, 1.0)[26:35, 24:60].any()
+    assert not edges(pier, pier > 0)[26:35, 24:60].any()
 
 
 @pytest.mark.parametrize("turned_deg", [3, 12, 30])
@@ -180,7 +175,7 @@ def test_a_deck_that_lies_oblique_to_the_grid_is_no_corner(turned_deg: float) ->
     height = np.where((along < 20) | (along > 80) | (np.abs(across) < 4.5), 7.0, 0.0)
     deck = (along > 26) & (along < 74) & (np.abs(across) < 4.5)
     assert deck.sum() > 350
-    assert not edges(height, height > 0, 1.0)[deck].any()
+    assert not edges(height, height > 0)[deck].any()
 
 
 def test_the_rim_of_a_low_cliff_on_a_slope_is_ground() -> None:
@@ -194,10 +189,10 @@ def test_the_rim_of_a_low_cliff_on_a_slope_is_ground() -> None:
     assert ground_of(table(x, y, z))[near].mean() > 0.7
 
 
-@pytest.mark.parametrize(("behind_m", "grows"), [(0.6, True), (0.0, False), (-3.0, True)])
+@pytest.mark.parametrize(("behind_m", "grows"), [(0.8, True), (0.0, False), (-3.0, True)])
 def test_ground_grows_up_no_shrub_but_to_crests_and_rims(behind_m: float, *, grows: bool) -> None:
     x, y = (along.ravel() for along in np.meshgrid(np.arange(-5.0, 6.0), np.arange(-5.0, 6.0)))
-    height = np.where(x <= 0, 0.12 * (x + 5), behind_m)  # the flank of a shrub, and ground behind
+    height = np.where(x <= 0, 0.16 * (x + 5), behind_m)  # the flank of a shrub, and ground behind
     xyz = np.column_stack([x, y, 0.9 * x + height])
     node = int(np.flatnonzero((x == 0) & (y == 0))[0])
     near = nearest_nodes(xyz)[node]
@@ -212,15 +207,15 @@ def test_ground_grows_up_no_shrub_but_to_crests_and_rims(behind_m: float, *, gro
     assert grown_to(EDGE_M) == grows
 
 
-def _grown(xyz: Float, grid: NDArray[np.int64], ground: Mask) -> Mask:
+def _grown(xyz: Float, grid: NDArray[np.int64], ground: Mask, wide: float) -> Mask:
     """Round by round, every node against planes of one side by least squares."""
     nearest = nearest_node(grid)
     held = grid >= 0
-    roof, even = (cells[held] for cells in barred(xyz, grid, ground, 1.0))
+    roof, even = (cells[held] for cells in barred(xyz, grid, ground))
     free = dict(zip(grid[held], ~roof, strict=True))
     sloping = dict(zip(grid[held], ~even, strict=True))
     other = held & ~ground[grid]
-    wall = dict(zip(grid[held], edges(xyz[nearest, 2], other, 1.0)[held], strict=True))
+    wall = dict(zip(grid[held], edges(xyz[nearest, 2], other)[held], strict=True))
     nodes = np.array(sorted(free))
     order = {
         i: nodes[np.argsort(np.hypot(*(xyz[nodes, :2] - xyz[i, :2]).T), kind="stable")[1:21]]
@@ -242,8 +237,8 @@ def _grown(xyz: Float, grid: NDArray[np.int64], ground: Mask) -> Mask:
     out, fresh = set(graph), set(graph)
     for _ in range(ROUNDS):
         asked = [i for i in nodes if i not in out and fresh & set(order[i][:8].tolist())]
-        up = {i for i in asked if free[i] and _goes_on(xyz, order[i], steep, i, STEEP, np.inf)}
-        on = {i for i in asked if wall[i] and _goes_on(xyz, order[i], level, i, 0.0, STEEP)}
+        up = {i for i in asked if free[i] and _goes_on(xyz, order[i], steep, i, (STEEP, np.inf))}
+        on = {i for i in asked if wall[i] and _goes_on(xyz, order[i], level, i, (0.0, STEEP), wide)}
         fresh = up | on
         if not fresh:
             break
@@ -255,8 +250,14 @@ def _grown(xyz: Float, grid: NDArray[np.int64], ground: Mask) -> Mask:
 
 
 def _goes_on(
-    xyz: Float, order: NDArray[np.int64], ground: set[int], i: int, least: float, most: float
+    xyz: Float,
+    order: NDArray[np.int64],
+    ground: set[int],
+    i: int,
+    slopes: tuple[float, float],
+    wide: float = 1.0,
 ) -> bool:
+    least, most = slopes
     fits, denied = np.zeros(8, bool), np.zeros(8, bool)
     for k, turn in enumerate(np.arange(0, 2 * np.pi, np.pi / 4)):
         ahead = (xyz[order, :2] - xyz[i, :2]) @ [np.cos(turn), np.sin(turn)] >= 0
@@ -264,9 +265,9 @@ def _goes_on(
         if len(side):
             counted, above, slope, scatter = slow_plane(xyz, np.ones(len(xyz)), i, side)
             uneven_m = TILT * slope if least else 0.0
-            if counted >= LEAST and scatter <= ROUGH_M + uneven_m:
-                denied[(k + 4) % 8] = LAYER_M + uneven_m < above < EDGE_M
-                fits[k] = above <= LAYER_M + uneven_m and least <= slope <= most
+            if counted >= LEAST and scatter <= wide * ROUGH_M + uneven_m:
+                denied[(k + 4) % 8] = wide * LAYER_M + uneven_m < above < EDGE_M
+                fits[k] = above <= wide * LAYER_M + uneven_m and least <= slope <= most
     return bool((fits & ~denied).any())
 
 

@@ -15,6 +15,7 @@ from spl_batch.airborne.ground.multiscale_surface import (
     spread_below,
 )
 from spl_batch.airborne.ground.node_grids import lowest_nodes, plane_heights
+from spl_batch.airborne.ground.scales import DAMPING_M2
 from spl_batch.airborne.settings import GroundSettings
 from tests.airborne.ground.clouds import ground_of, places, table
 
@@ -61,7 +62,7 @@ def test_planes_are_those_of_damped_least_squares(*, own: bool) -> None:
         near = xyz[[j for j in around if j >= 0]]
         centre = near.mean(axis=0)
         off = near - centre
-        normal = off[:, :2].T @ off[:, :2] / len(near) + 0.05 * np.eye(2)
+        normal = off[:, :2].T @ off[:, :2] / len(near) + DAMPING_M2 * np.eye(2)
         gradient = np.linalg.solve(normal, off[:, :2].T @ off[:, 2] / len(near))
         expected = centre[2] + gradient @ (xyz[i, :2] - centre[:2])
         assert height == pytest.approx(expected, abs=1e-9)

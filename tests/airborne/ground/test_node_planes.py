@@ -5,7 +5,6 @@ import pytest
 
 from spl_batch.airborne.ground.multiscale.node_planes import (
     FLAT,
-    PLANE_REACH_M,
     RIDGE,
     above_planes,
     goes_on,
@@ -13,6 +12,7 @@ from spl_batch.airborne.ground.multiscale.node_planes import (
     without_plants,
 )
 from spl_batch.airborne.ground.multiscale_surface import depths_below, ends_within, no_depths
+from spl_batch.airborne.ground.scales import PLANE_M
 
 POINT_M = 0.4
 
@@ -34,7 +34,7 @@ def nearest(xyz):
 def slow_plane(xyz, weight, i, members):
     """Weight, height above the weighted plane, slope and scatter, by normal equations."""
     d = xyz[members] - xyz[i]
-    w = weight[members] * np.exp(-(d[:, 0] ** 2 + d[:, 1] ** 2) / PLANE_REACH_M**2)
+    w = weight[members] * np.exp(-(d[:, 0] ** 2 + d[:, 1] ** 2) / PLANE_M**2)
     mean = w @ d / w.sum()
     around = d - mean
     normal = (w * around[:, :2].T) @ around[:, :2] / w.sum()

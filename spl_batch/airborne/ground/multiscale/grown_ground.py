@@ -34,28 +34,21 @@ from spl_batch.airborne.ground.scales import (
     APART_M,
     BESIDE_M,
     CELL_M,
-    HIGH_M,
+    EDGE_M,
+    HOUSE_M2,
     LAYER_M,
     NARROW_M,
     ROUGH_M,
     SIDES,
     STEEP,
     TILT,
-    WALL_M,
     WIDE_M,
     WINDOW_M,
 )
 from spl_batch.numerics.compiled import njit
 
-EDGE_M: Final = 1.5
-"""Fall at the edge of a terrace or a deck [m]: with that of a wall the error of ISPRS sample 71
-grows by 4 cm."""
-
-ISLAND: Final = 50
+ISLAND: Final = round(HOUSE_M2 / CELL_M**2)
 """Fewer nodes that hang together are an island [count]."""
-
-EAVE_M: Final = WALL_M / 2
-"""A roof on a hillside ends on both sides along the contour by such a fall [m]."""
 
 ROUNDS: Final = round(WINDOW_M / CELL_M)
 """Nodes that ground grows by at the most: the largest window of the opening [count]."""
@@ -72,7 +65,7 @@ class Sources(NamedTuple):
     level: Mask
 
 
-def grown(xyz: Float, grid: Index, nearest: Index, ground: Mask, cell_m: float) -> Mask:
+def grown(xyz: Float, grid: Index, nearest: Index, ground: Mask, point_m: Float) -> Mask:
     """Ground nodes, and those of a grid that go on from them: (n,) bool.
 
     Parameters
@@ -86,8 +79,8 @@ def grown(xyz: Float, grid: Index, nearest: Index, ground: Mask, cell_m: float) 
         That of the nearest cell with one.
     ground : (n,) bool
         Nodes of the ground.
-    cell_m : float
-        Edge of a cell [m].
+    point_m : (n,) float64
+        Spacing of the points that they are the lowest of [m].
     """
     full = grid >= 0
     index = grid[full]
@@ -95,14 +88,15 @@ def grown(xyz: Float, grid: Index, nearest: Index, ground: Mask, cell_m: float) 
         return ground
     nodes, known = xyz[index], ground[index]
     around = nearest_nodes(nodes)
-    roof, even = (cells[full] for cells in barred(xyz, grid, ground, cell_m))
+    roof, even = (cells[full] for cells in barred(xyz, grid, ground))
     land = on_land(nodes, around, known)
     other = full.copy()
     other[full] = ~known
-    beside_wall = edges(xyz[nearest, 2], other, cell_m)[full]
+    beside_wall = edges(xyz[nearest, 2], other)[full]
     found = known.copy()
     sources = Sources(~roof & known & (land | ~even), land)
-    _grow(nodes, around, beside_wall, ~roof, sources, found)
+    wide = np.maximum(point_m[index] / CELL_M, 1.0)
+    _grow(nodes, around, wide, beside_wall, ~roof, sources, found)
     out = ground.copy()
     out[index[found]] = True
     return out
@@ -142,9 +136,14 @@ def _any_beside(fresh: Mask, around: Index) -> bool:
 
 @njit()
 def _grow(
-    nodes: Float, around: Index, beside_wall: Mask, free: Mask, sources: Sources, ground: Mask
-) -> None:
-    """Let ground grow round by round: level beside walls, steep in cells that are free."""
+    nodes: Float, around: Index, wide: Float, beside_wall: Mask, free: Mask, sources: Sources,
+    ground: Mask,
+) -> None:  # fmt: skip
+    """Let ground grow round by round: level beside walls, steep in cells that are free.
+
+    Level ground is known to what it undulates by between nodes: in proportion to their distance,
+    ``wide``, in cells.
+    """
     fresh = ground.copy()
     steep, level = sources.steep.astype(np.float64), sources.level.astype(np.float64)
     there, here = np.empty(len(nodes), np.bool_), np.empty(len(nodes), np.bool_)
@@ -158,7 +157,8 @@ def _grow(
                 off, rough, slopes = (LAYER_M, TILT), (ROUGH_M, TILT), (STEEP, np.inf)
                 there[i] = on_one_side(nodes, near, steep, i, off, rough, slopes, EDGE_M)
             if beside_wall[i]:
-                off, rough, slopes = (LAYER_M, 0.0), (ROUGH_M, 0.0), (0.0, STEEP)
+                off, rough = (wide[i] * LAYER_M, 0.0), (wide[i] * ROUGH_M, 0.0)
+                slopes = 0.0, STEEP
                 here[i] = on_one_side(nodes, near, level, i, off, rough, slopes, EDGE_M)
         grown = False
         for i in range(len(nodes)):
@@ -173,14 +173,14 @@ def _grow(
             break
 
 
-def barred(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> tuple[Mask, Mask]:
+def barred(xyz: Float, grid: Index, ground: Mask) -> tuple[Mask, Mask]:
     """Cells where nothing steep grows, and those where it grows from no island.
 
     The surface ends in a step on both sides along the contour, and the trend is level.
 
     Parameters
     ----------
-    xyz, grid, ground, cell_m
+    xyz, grid, ground
         As :func:`grown` has them.
 
     Returns
@@ -200,10 +200,10 @@ def barred(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> tuple[Mask, 
     full = grid >= 0
     above = np.where(full, (z - trend_at(trend, x, y))[grid], np.nan)
     # Across a crest that is cut off the trend is that between its rims: no contour.
-    away = ndimage.distance_transform_edt(~(full & ground[grid])) * cell_m
-    asked = full & (away <= WIDE_M) & (above > EAVE_M / 2)
-    edge, far = (round(along / cell_m) for along in (BESIDE_M, NARROW_M))
-    _end_both_ways(above, z[grid], north, east, edge, far, asked, roof)
+    away = ndimage.distance_transform_edt(~(full & ground[grid])) * CELL_M
+    asked = full & (away <= WIDE_M) & (above > EDGE_M / 2)
+    edge, far = (round(along / CELL_M) for along in (BESIDE_M, NARROW_M))
+    _end_both_ways(above, north, east, edge, far, asked, roof)
     tilt = np.where(full, np.hypot(north, east), 0.0)
     even: Mask = ndimage.maximum_filter(tilt, 2 * far + 1) <= TILT
     return roof, even
@@ -211,48 +211,41 @@ def barred(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> tuple[Mask, 
 
 @njit()
 def _end_both_ways(
-    above: Float, height: Float, north: Float, east: Float,
-    edge: int, far: int, asked: Mask, out: Mask,
-) -> None:  # fmt: skip
+    above: Float, north: Float, east: Float, edge: int, far: int, asked: Mask, out: Mask
+) -> None:
     """Fill with cells from which heights above a trend fall both ways across its slope."""
     for r in range(above.shape[0]):
         for c in range(above.shape[1]):
             slope = np.hypot(north[r, c], east[r, c])
             if asked[r, c] and slope > TILT:
                 n, e = -east[r, c] / slope, north[r, c] / slope
-                one = _fall_m(above, height, r, c, n, e, edge, far)
-                least = min(one, _fall_m(above, height, r, c, -n, -e, edge, far))
-                out[r, c] = 0.0 < least < HIGH_M
+                one = _ends(above, r, c, n, e, edge, far)
+                out[r, c] = one and _ends(above, r, c, -n, -e, edge, far)
 
 
 @njit()
-def _fall_m(
-    above: Float, height: Float, row: int, column: int, north: float, east: float,
-    edge: int, far: int,
-) -> float:  # fmt: skip
-    """How far below a cell the surface lies where it falls by a step on the way; 0 if nowhere."""
+def _ends(
+    above: Float, row: int, column: int, north: float, east: float, edge: int, far: int
+) -> bool:
+    """Whether a surface falls by a step on the way from a cell; those without a node are passed."""
     rows, columns = above.shape
-    top, end, fall_m = above[row, column], far, 0.0
-    for step in range(1, far + edge + 1):
+    top = above[row, column]
+    for step in range(1, far + 1):
         r, c = int(np.rint(row + step * north)), int(np.rint(column + step * east))
-        if step > end or r < 0 or c < 0 or r >= rows or c >= columns:
+        if r < 0 or c < 0 or r >= rows or c >= columns:
             break
         if np.isnan(above[r, c]):
-            continue
-        if fall_m > 0.0:
-            fall_m = max(fall_m, height[row, column] - height[r, c])
             continue
         before = -np.inf
         for back in range(max(step - edge, 0), step):
             i, j = int(np.rint(row + back * north)), int(np.rint(column + back * east))
             before = np.fmax(before, above[i, j])  # of cells with a node
-        if above[r, c] <= min(top, before) - EAVE_M:
-            end = step + edge  # a node half-way down is not the foot yet
-            fall_m = max(height[row, column] - height[r, c], EAVE_M)
-    return fall_m
+        if above[r, c] <= min(top, before) - EDGE_M:
+            return True
+    return False
 
 
-def edges(height: Float, asked: Mask, cell_m: float) -> Mask:
+def edges(height: Float, asked: Mask) -> Mask:
     """Cells that have a wall within reach of a window, but stand on no deck: (rows, columns) bool.
 
     Parameters
@@ -261,11 +254,9 @@ def edges(height: Float, asked: Mask, cell_m: float) -> Mask:
         Heights without gaps [m].
     asked : (rows, columns) bool
         Cells to look at.
-    cell_m : float
-        Edge of a cell [m].
     """
     out = np.zeros(height.shape, dtype=np.bool_)
-    edge, far, deck = (round(along / cell_m) for along in (BESIDE_M, WINDOW_M, NARROW_M))
+    edge, far, deck = (round(along / CELL_M) for along in (BESIDE_M, WINDOW_M, NARROW_M))
     _edges(height, asked, edge, far, deck + 1, out)
     return out
 

@@ -123,7 +123,8 @@ def _ground_surface(evidence: Place, apart: Blocks, sigma: Blocks) -> tuple[Surf
     chosen, high = agreeing_nodes(xyz, ~low_outliers(xyz), filled, sigma)
     grid = lowest_nodes(xyz, chosen, CELL_M)
     nearest = nearest_node(grid)
-    ground = grown(xyz, grid, nearest, ground_nodes(xyz, high, grid, nearest), CELL_M)
+    opened = ground_nodes(xyz, high, grid, nearest)
+    ground = grown(xyz, grid, nearest, opened, apart.at(*xyz[:, :2].T))
     ground &= ~on_houses(xyz, ground)
     ground[ground] = ~under_planes(xyz[ground], filled[ground], doubtful[ground])
     x, y, _ = xyz[ground].T

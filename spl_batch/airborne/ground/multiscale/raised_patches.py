@@ -6,8 +6,8 @@ takes some of these. From a terrace, a bank or a hillside the terrain falls to o
 mound it falls on beyond the edge. A rock or a spur with walls on three sides looks the same as a
 roof.
 
-The nodes of such patches are taken off again, but for those whose walls are too low or too high for
-a house, as in quarries. On a real town 1.0 % of the roofs are ground without this, 0.8 % with it
+The nodes of such patches are taken off again, but for those whose walls are too low for a house. On
+a real town 1.0 % of the roofs are ground without this, 0.8 % with it
 (``docs/evidence/terrain.md``).
 
 Walls are looked for among the lowest ground of squares, where gaps take that of the nearest one: a
@@ -21,12 +21,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from spl_batch.airborne.ground.multiscale.grown_ground import steps_to_wall
-from spl_batch.airborne.ground.scales import BESIDE_M, HIGH_M, MOST, SIDES, WALL_M, WINDOW_M
+from spl_batch.airborne.ground.scales import BESIDE_M, HOUSE_M2, MOST, SIDES, WALL_M, WINDOW_M
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.nearest_cells import nearest_cells
-
-LEAST_M2: Final = 60.0
-"""Area of a small house [m2]: smaller ones are rocks and the like."""
 
 RIM_M: Final = WALL_M / 2
 """So far the terrain falls from a building to most squares around it [m]."""
@@ -112,13 +109,13 @@ def _between_walls(surface: Grid, reach: int) -> Mask:
 
 def _is_house(mine: Mask, surface: Grid) -> bool:
     """Whether squares of a building's size fall to most of those around, which lie level again."""
-    if mine.sum() * BESIDE_M**2 < LEAST_M2:
+    if mine.sum() * BESIDE_M**2 < HOUSE_M2:
         return False
     around = np.ones((3, 3), np.bool_)
     once, twice = (ndimage.binary_dilation(mine, around, iterations=k) for k in (1, 2))
     rim, beyond = once & ~mine, twice & ~once
     fall = np.median(surface[mine]) - surface[rim]
-    if np.mean(fall > RIM_M) < MOST or not WALL_M <= np.median(fall) < HIGH_M:
+    if np.mean(fall > RIM_M) < MOST or np.median(fall) < WALL_M:
         return False
     level = not beyond.any() or np.median(surface[rim]) - np.median(surface[beyond]) <= RIM_M
     return bool(level)
