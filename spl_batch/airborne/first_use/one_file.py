@@ -296,7 +296,11 @@ def _proposal(
         guesses["survey.trajectory"] = (
             "beams: from where lines of sight meet, or vertical; --trajectory gives them"
         )
-    return guesses, {"survey": survey, "outputs": outputs, "output": "out"}
+    # No raster but the terrain is delivered, and to make the others of detections takes longest.
+    products = {"intensity": "las"}
+    return guesses, {
+        "survey": survey, "products": products, "outputs": outputs, "output": "out"
+    }  # fmt: skip
 
 
 def _moves(
