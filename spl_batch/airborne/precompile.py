@@ -16,21 +16,22 @@ import os
 import platform
 import sys
 import threading
-from collections.abc import Container, Iterator, Mapping, Sequence
-from functools import cache
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache, partial
 from importlib.resources import files
 from itertools import chain
-from pathlib import Path
 from typing import Any, Final
 
 from numba import types
-from numba.core.caching import FunctionCache
 from numba.core.dispatcher import Dispatcher
 
 from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.airborne.steps import STEPS
 from spl_batch.engine.flow.warm_up import WarmUp
 from spl_batch.engine.tasks.runner import code_version
+from spl_batch.engine.tasks.step import stages
 from spl_batch.formats.files.atomic import json_digest
+from spl_batch.numerics.compiled import folder_of
 from spl_batch.receivers import IMAGING
 
 COMPILING: Final = (
@@ -54,32 +55,31 @@ def signatures() -> dict[str, dict[str, list[list[Any]]]]:
     return found
 
 
-def listed(workflow: Workflow | None = None, steps: Container[str] | None = None) -> Listed:
-    """Kernels that a workflow needs of some steps, by step; all of them without."""
+def listed(workflow: Workflow | None = None, until: str | None = None) -> Listed:
+    """Kernels that a workflow calls up to a stage, by step; all of them without."""
+    order = stages(IMAGING)
+    wanted = order[: order.index(until) + 1] if until else order
     detections = workflow is None or workflow.products.intensity == "detection"
     return {
         step: [name for name in names if detections or OF_DETECTIONS not in name]
         for step, names in signatures().items()
-        if steps is None or step in steps
+        if STEPS[step].stage in wanted
     }
 
 
-def compiling(
-    processes: int, workflow: Workflow | None = None, steps: Container[str] | None = None
-) -> WarmUp:
-    """Processes that compile the kernels of :func:`listed`; the same ones for another caller."""
-    names = json.dumps(listed(workflow, steps))
-    return _compiling(names, max(min(processes, os.cpu_count() or 1), 1))
+def compiling(processes: int, workflow: Workflow | None = None, until: str | None = None) -> WarmUp:
+    """Processes that compile the kernels of :func:`listed`; those that do so already, if any."""
+    found = _compiling(json.dumps(listed(workflow, until)))
+    found.processes = min(processes, os.cpu_count() or 1)
+    return found
 
 
 @cache
-def _compiling(names: str, processes: int) -> WarmUp:
+def _compiling(names: str) -> WarmUp:
     # numba's code is for one kind of processor; machines that share a disk may have several.
     what = [code_version(IMAGING), platform.node(), names]
-    folder = FunctionCache(find)._impl.locator.get_cache_path()  # noqa: SLF001 - no other way
-    mark = Path(folder) / f"{json_digest(what)}.compiled"
-    commands = [_command(share, processes, names) for share in range(processes)]
-    return WarmUp(commands, [*json.loads(names)], COMPILING, mark)
+    mark = folder_of(find) / f"{json_digest(what)}.compiled"
+    return WarmUp(partial(_command, names), [*json.loads(names)], COMPILING, mark, 1)
 
 
 def compile_all(processes: int = 1) -> int:
@@ -90,7 +90,7 @@ def compile_all(processes: int = 1) -> int:
     return every.made
 
 
-def _command(share: int, shares: int, names: str) -> tuple[str, ...]:
+def _command(names: str, share: int, shares: int) -> tuple[str, ...]:
     """Command of a process that compiles: it finds the same files of this project as this one.
 
     ``python -m`` would take those of the folder that it is called in, such as a clone.
@@ -127,7 +127,7 @@ def _say(*numbers: int) -> None:
     sys.stdout.flush()
 
 
-def divided(names: Listed, shares: int) -> list[Listed]:
+def divided(names: Listed, shares: int) -> list[dict[str, list[str]]]:
     """Shares of about equal cost up to each step; kernels that call the same are kept together."""
     loads: list[set[str]] = [set() for _ in range(shares)]
     found: list[dict[str, list[str]]] = [{step: [] for step in names} for _ in range(shares)]

@@ -64,11 +64,7 @@ def quickstart(
         return run(workflow, workers=workers, memory=memory, listener=listener)
     preset = resources.files("spl_batch.airborne").joinpath("simulate/presets/quickstart.yaml")
     # The simulation takes one processor, and workers start for seconds.
-    ahead = compiling(workers)
-    ahead.begin()
-    try:
+    with compiling(max(workers, 1)).beside():
         with resources.as_file(preset) as scene:
             simulate(scene, folder, progress=progress)
         return run(workflow, workers=workers, memory=memory, listener=listener)
-    finally:
-        ahead.end()

@@ -1,6 +1,6 @@
 """Airborne single-photon lidar: the receiver that the project began with."""
 
-from collections.abc import Container, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
@@ -66,9 +66,9 @@ class Imaging(Receiver[Survey, Context]):
         *(f"{p.name}.tif" for p in (*PRODUCTS, *ABOVE_GEOID) if p.delivered),
     )
 
-    def warm_up(self, workflow: Workflow, steps: Container[str], workers: int) -> WarmUp:
-        """What compiles the kernels that tasks of some steps call."""
-        return compiling(workers, workflow, steps)
+    def warm_up(self, workflow: Workflow, until: str | None, workers: int) -> WarmUp:
+        """What compiles the kernels that tasks call up to a stage."""
+        return compiling(workers, workflow, until)
 
     def gather(self, workflow: Workflow, base: Path, output: Path) -> Inputs:
         """Find and check every file of a workflow, from headers alone."""

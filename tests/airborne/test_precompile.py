@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from functools import partial
 from itertools import chain
 from pathlib import Path
 
@@ -51,7 +52,7 @@ def test_only_what_a_workflow_calls_is_compiled() -> None:
     every, fewer = precompile.listed(), precompile.listed(workflow)
     left_out = {name for step in every for name in {*every[step]} - {*fewer[step]}}
     assert left_out == {n for names in every.values() for n in names if "reflectance" in n} != set()
-    assert [*precompile.listed(steps={"surface", "observe"})] == ["observe", "surface"]
+    assert [*precompile.listed(until="denoise")] == ["observe", "scatter", "denoise"]
 
 
 @pytest.mark.parametrize("shares", [1, 2, 3, 16, 100])
@@ -77,9 +78,9 @@ def test_what_a_process_compiles_is_there_for_others(
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     told: list[Event] = []
     names = {"observe": ["spl_batch.airborne.beams.shot_runs:lag_behind"], "denoise": []}
-    command, steps = precompile._command(0, 1, json.dumps(names)), [*names]
+    command, steps = partial(precompile._command, json.dumps(names)), [*names]
     for made, at in ((1, 2), (0, 2)):
-        one = WarmUp([command], steps, "compiling", tmp_path / f"{made}.compiled")
+        one = WarmUp(command, steps, "compiling", tmp_path / f"{made}.compiled", 1)
         one.begin(told.append)
         one.wait_for("denoise")
         one.finish()
@@ -95,7 +96,7 @@ def test_the_other_process_finds_the_same_files_wherever_it_is_called(tmp_path: 
     other.mkdir()
     (other / "__init__.py").write_text("raise SystemExit('not these')", encoding="utf-8")
     done = subprocess.run(  # noqa: S603 - this project's own module
-        precompile._command(15, 16, '{"denoise": []}'),
+        precompile._command('{"denoise": []}', 15, 16),
         cwd=tmp_path, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.stdout == "0 0 0 1\n"
@@ -105,7 +106,7 @@ def test_the_other_process_finds_the_same_files_wherever_it_is_called(tmp_path: 
 def test_a_process_that_compiles_ends_with_the_one_that_started_it() -> None:
     everything = json.dumps(precompile.listed())
     with subprocess.Popen(  # noqa: S603
-        precompile._command(0, 1, everything), stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        precompile._command(everything, 0, 1), stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as child:
         assert child.stdout is not None
         child.stdout.readline()

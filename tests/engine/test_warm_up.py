@@ -31,7 +31,9 @@ def two(folder: Path, first: list[str], second: list[str]) -> WarmUp:
     commands = [
         [sys.executable, "-c", PROCESS, str(folder / "go"), *one] for one in (first, second)
     ]
-    return WarmUp(commands, ["index", "denoise"], "compiling", folder / "ready")
+    return WarmUp(
+        lambda number, _: commands[number], ["index", "denoise"], "compiling", folder / "ready", 2
+    )
 
 
 def test_tasks_wait_for_their_own_step_alone(tmp_path: Path) -> None:

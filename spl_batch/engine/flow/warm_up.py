@@ -4,11 +4,12 @@ They go through the steps in order, and a task waits for its own step alone: a p
 no task yet works ahead for later steps.
 """
 
+import contextlib
 import re
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -41,10 +42,12 @@ class WarmUp:
     :class:`_Share`, before each part and at its end.
     """
 
-    commands: Sequence[Sequence[str]]  #: Of each process.
+    #: Command of a process, by its number from 0 and how many there are.
+    command: Callable[[int, int], Sequence[str]]
     steps: Sequence[str]  #: Those whose tasks need some of it, in order.
     what: str  #: What is being done, in words.
     mark: Path  #: It is there once all is ready: no process is started then.
+    processes: int  #: How many are started [count].
     waited_s: float | None = None  #: How long tasks had to wait; None where all was ready [s].
     _shares: list[_Share] = field(default_factory=list)
     _listener: Listener = ignore
@@ -62,12 +65,27 @@ class WarmUp:
         if not all(share.heard for share in self._shares):
             return
         self._shares, self.waited_s = [], None
-        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
-        for command in () if self.mark.exists() else self.commands:
-            child = subprocess.Popen(command, **pipes, text=True)  # noqa: S603 - the project's own
+        for number in range(0 if self.mark.exists() else self.processes):
+            child = subprocess.Popen(  # noqa: S603 - a module of this project
+                self.command(number, self.processes),
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                start_new_session=True,  # Ctrl-C is for the run, which ends them
+            )
             self._shares.append(_Share(child))
         for share in self._shares:
             threading.Thread(target=self._hear, args=(share,), daemon=True).start()
+
+    @contextlib.contextmanager
+    def beside(self) -> Iterator[None]:
+        """Have the processes at work while a block runs, or what in it begins them again."""
+        self.begin()
+        try:
+            yield
+        finally:
+            self.end()
 
     def wait_for(self, step: str) -> None:
         """Wait until what tasks of a step call is ready, or nobody gets it ready any more."""
@@ -94,17 +112,19 @@ class WarmUp:
     def _hear(self, share: _Share) -> None:
         """Take in what a process writes, to its end."""
         line = ""
-        with share.child as child:
-            for line in child.stdout:
-                if found := _LINE.fullmatch(line):
-                    self._take(share, *map(int, found.groups()))
-        if child.returncode > 0:
-            self._listener(Note("info", f"{self.what}: {line.strip()}"))
-        elif all(one.child.returncode == 0 for one in self._shares):
-            self.mark.touch()
-        with self._changed:
-            share.step, share.heard = len(self.steps), True
-            self._changed.notify_all()
+        try:
+            with share.child as child:
+                for line in child.stdout:
+                    if found := _LINE.fullmatch(line):
+                        self._take(share, *map(int, found.groups()))
+            if child.returncode > 0:
+                self._listener(Note("info", f"{self.what}: {line.strip()}"))
+            elif all(one.child.returncode == 0 for one in self._shares):
+                self.mark.touch()
+        finally:
+            with self._changed:
+                share.step, share.heard = len(self.steps), True
+                self._changed.notify_all()
 
     def _take(self, share: _Share, done: int, of: int, made: int, step: int) -> None:
         """Take in how far a process is, and report it unless all find everything ready."""

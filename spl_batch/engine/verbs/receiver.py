@@ -75,9 +75,9 @@ class Receiver(ABC, Generic[L, C]):
     #: Patterns of the files that its runs deliver, below the output.
     delivered: ClassVar[tuple[str, ...]] = ()
 
-    def warm_up(self, workflow: Any, steps: Container[str], workers: int) -> WarmUp | None:
-        """What compiles the kernels that tasks of some steps call; None where there are none."""
-        del workflow, steps, workers
+    def warm_up(self, workflow: Any, until: str | None, workers: int) -> WarmUp | None:
+        """What compiles the kernels that tasks call up to a stage; None where there are none."""
+        del workflow, until, workers
         return None
 
     @abstractmethod

@@ -130,14 +130,8 @@ def run(
             progress.warn((*prepared.ledger.remarks, *gone, *prepared.ledger.inputs.warnings))
             for text in (*told_together(prepared.ledger.inputs.bad), *look.late):
                 progress.note(text, "error")
-            warm_up = (
-                None
-                if scheduler
-                else prepared.receiver.warm_up(
-                    context.workflow, {step.name for step in steps}, workers
-                )
-            )
-            if new and warm_up and not workers:
+            warm_up = prepared.receiver.warm_up(context.workflow, until, workers)
+            if new and warm_up and not workers and scheduler is None:
                 progress.note(warm_up.what)
             result = _rested(progress, start) if reports and not fresh else None
             if result is None:
@@ -149,7 +143,7 @@ def run(
                     memory_bytes=prepared.ledger.memory_bytes,
                     scheduler=scheduler,
                     observer=progress,
-                    warm_up=warm_up,
+                    warm_up=None if scheduler else warm_up,
                 ) as pool:
                     again = True
                     while again:
