@@ -46,16 +46,16 @@ def columns(
     points = np.empty(4 * len(rows) + 8, dtype=np.int32)[:-8].reshape(4, -1)
     if not len(rows):
         return Columns(points, np.zeros(2, np.int64), np.zeros(2, np.int64), (1, 1), edge)
-    taken = xyz[rows]
-    cell = [(taken[:, a].astype(np.int64) + anchor[a]) // edge for a in (0, 1)]
+    cell = [(xyz[rows, a].astype(np.int64) + anchor[a]) // edge for a in (0, 1)]
     first = [int(c.min()) for c in cell]
     shape = (int(cell[0].max()) - first[0] + 1, int(cell[1].max()) - first[1] + 1)
     column = (cell[0] - first[0]) * shape[1] + (cell[1] - first[1])
     start = np.zeros(shape[0] * shape[1] + 1, dtype=np.int64)
     np.cumsum(np.bincount(column, minlength=len(start) - 1), out=start[1:])
-    order = lexicographic_order([column, taken[:, 2]])  # rows ascend within equal heights
-    for axis, values in enumerate((*taken.T, rows)):
-        points[axis] = values[order]
+    # Rows ascend within equal heights.
+    points[3] = rows[lexicographic_order([column, xyz[rows, 2]])]
+    # A point is fetched once: its three coordinates share memory.
+    points[:3] = xyz[points[3]].T
     corner = np.array([first[a] * edge - anchor[a] for a in (0, 1)], dtype=np.int64)
     return Columns(points, start, corner, shape, edge)
 

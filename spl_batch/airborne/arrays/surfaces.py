@@ -236,7 +236,8 @@ def _labelled(
     of_shots: dict[str, NDArray[np.float32]] = {}
     if isinstance(labels, Labels):
         noise_class = labels.noise_class
-        of_shots = {"afterpulse": labels.afterpulse, "range_sigma": labels.range_sigma}
+        names = ("afterpulse", "range_sigma", "noise_density")
+        of_shots = {name: getattr(labels, name) for name in names}
     else:
         noise_class = np.asarray(NOISE_SIGNAL if labels is None else labels)
         if noise_class.dtype == np.bool_:

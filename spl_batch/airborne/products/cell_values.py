@@ -59,39 +59,6 @@ def _sort_into_cells(
 
 
 @njit()
-def flown_over(
-    place: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]],
-    picked: tuple[NDArray[np.uint8], int],
-    bounds: tuple[int, int, int, int],
-    size: float,
-    flown: NDArray[np.bool_],
-    heights: NDArray[np.int32],
-    cells: NDArray[np.int32],
-) -> int:
-    """Raster cells with any point, and the heights and cells of the points of one kind.
-
-    ``place``: easting, northing, height; ``picked``: kind of each point, and the one whose heights
-    are wanted; ``bounds``: west, south, east and north, points beyond do not count; ``size``: edge
-    of a cell, whole [quanta]. ``heights, cells`` (n,) are filled from their start; how many is
-    returned.
-    """
-    x, y, z = place
-    kind, wanted = picked
-    west, south, east, north = bounds
-    cols = np.int64((east - west) / size)
-    count = 0
-    for i in range(len(kind)):
-        if x[i] < west or x[i] >= east or y[i] < south or y[i] >= north:
-            continue
-        # A quotient of whole numbers below 2**53 never rounds up to the next whole one.
-        cell = np.int64((y[i] - south) / size) * cols + np.int64((x[i] - west) / size)
-        flown[cell] = True
-        heights[count], cells[count] = z[i], cell
-        count += kind[i] == wanted
-    return count
-
-
-@njit()
 def _spread2(z: NDArray[np.int32], begin: int, end: int, middle2: np.int64) -> np.int64:
     """Lower median of ``|2 z - middle2|`` over a run sorted by falling height."""
     n = end - begin

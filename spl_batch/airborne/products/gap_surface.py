@@ -12,10 +12,9 @@ ground cells shows, and where a gap is wider than a window, its plate goes on fr
 It is fitted to means of blocks of :data:`BLOCK_M`, two rows of them along the gaps: single cells
 would lend it the slopes of their noise.
 
-Three rules keep it from making up land. Ground beyond a wall does not count, so that a quay's hall
-gets no slope from the land below. It is no higher
-and no lower than the ground it is fitted to. And it does not come near water: where the nearest
-ground is the level of water, within :data:`FAR_M`, the TIN stays.
+Two rules keep it from making up land. It is no higher and no lower than the ground it is fitted to,
+and it does not come near water: where the nearest ground is the level of water, within
+:data:`FAR_M`, the TIN stays.
 """
 
 from typing import Final
@@ -51,26 +50,7 @@ _ENOUGH = 8
 _CELLS = 2.0
 """Cells with ground in a block, on the average; in sparser clouds gaps are everywhere [count]."""
 
-WALL_CELLS: Final = 1.0
-"""Height of a wall, at least, in edges of a cell."""
-
-STEEPER: Final = 2.5
-"""How much larger a wall's step is than the mean of those around."""
-
-AROUND_CELLS: Final = 17
-"""Edge of the square that this mean is of [count]."""
-
-FULL_OF_NINE: Final = 6
-"""Cells with ground, of a cell and those around it, from which on it may be at a wall [count]."""
-
-_FINE_CELLS = 1e-3
-"""What steps are counted in."""
-
-_NINE = np.ones((3, 3), np.bool_)
-
 Grid = NDArray[np.float64]
-
-Mask = NDArray[np.bool_]
 
 
 def bridged(
@@ -120,21 +100,16 @@ def _share(held: NDArray[np.bool_], wet: NDArray[np.bool_], far: float, margin: 
 def _blocks(means: Grid, size: int, before: tuple[int, int], block: int) -> Grid:
     """Mean place [blocks] and height of the ground of each block, and cells with any: (., ., 4).
 
-    Place and height are of the ground on the gaps' side of walls, NaN where all of it is beyond.
+    Place and height are NaN in a block without ground.
     """
     held = np.nonzero(~np.isnan(means[:, :, 2]))
     row, column = ((axis + b) // block for axis, b in zip(held, before, strict=True))
     shape = [-(-(n + b) // block) for n, b in zip(means.shape, before, strict=False)]
     number = row * shape[1] + column
     count = np.bincount(number, minlength=shape[0] * shape[1])
-    empty = (count == 0).reshape(shape).repeat(block, 0).repeat(block, 1)
-    gaps = empty[before[0] :, before[1] :][: len(means), : means.shape[1]]
-    near = on_this_side(means[:, :, 2] / size, gaps, (_RIM + 1) * block)[held]
-    x, y, z = means[held][near].T
-    number = number[near]
-    sums = [np.bincount(number, values, len(count)) for values in (x, y, z)]
+    sums = [np.bincount(number, values, len(count)) for values in means[held].T]
     with np.errstate(invalid="ignore"):
-        x, y, z = sums / np.bincount(number, minlength=len(count))
+        x, y, z = sums / count
     blocks = [(x / size + before[1]) / block, (y / size + before[0]) / block, z, count]
     return np.stack(blocks, axis=-1).reshape(*shape, 4)
 
@@ -145,38 +120,6 @@ def _nodes(gaps: NDArray[np.bool_], first: tuple[int, int], step: int) -> NDArra
     corners = np.unique(np.column_stack([row // step, column // step]), axis=0)
     around = [corners + np.array([i, j]) for i in (0, 1) for j in (0, 1)]
     return np.unique(np.concatenate(around), axis=0)
-
-
-def on_this_side(height: Grid, gaps: Mask, reach: int) -> Mask:
-    """Cells that a way of ``reach`` cells leads to from a gap, straight or diagonal, but no wall.
-
-    ``height``: of the ground [cells]; NaN without any.
-    """
-    walls = walls_of(height)
-    if not walls.any():
-        return np.ones_like(gaps)
-    # A single cell without ground is no hole in a wall.
-    walls |= np.isnan(height) & ndimage.binary_dilation(walls, _NINE)
-    return np.asarray(ndimage.binary_dilation(gaps, _NINE, reach, mask=gaps | ~walls))
-
-
-def walls_of(height: Grid) -> Mask:
-    """Cells at the top or the foot of a wall."""
-    held = ~np.isnan(height)
-    step = ndimage.maximum_filter(np.where(held, height, -np.inf), 3)
-    step -= ndimage.minimum_filter(np.where(held, height, np.inf), 3)
-    full = held & (_sum_around(held.astype(np.float64), 3) >= FULL_OF_NINE)
-    # Whole numbers, so that sums do not depend on where the cells begin.
-    whole = np.rint(np.where(full, step, 0.0) / _FINE_CELLS)
-    count = _sum_around(full.astype(np.float64), AROUND_CELLS)
-    mean = _sum_around(whole, AROUND_CELLS) / np.maximum(count, 1.0)
-    return np.asarray(full & (step > WALL_CELLS) & (whole > STEEPER * mean))
-
-
-def _sum_around(values: Grid, edge: int) -> Grid:
-    for axis in (0, 1):
-        values = ndimage.convolve1d(values, np.ones(edge), axis, mode="constant")
-    return values
 
 
 @njit()
@@ -222,7 +165,7 @@ def _rim_around(node: NDArray[np.int64], blocks: Grid, window: int, points: Grid
             for row in range(max(i - _RIM, south), min(i + _RIM + 1, north)):
                 for column in range(max(j - _RIM, west), min(j + _RIM + 1, east)):
                     empty += blocks[row, column, 3] == 0
-            if empty and not np.isnan(blocks[i, j, 2]):
+            if empty:
                 points[n, 0], points[n, 1] = blocks[i, j, 0] - node[1], blocks[i, j, 1] - node[0]
                 points[n, 2] = blocks[i, j, 2]
                 n += 1

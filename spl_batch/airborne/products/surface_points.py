@@ -34,14 +34,13 @@ def stands(table: PointTable, bare: Bare | None) -> NDArray[np.bool_]:
 
 
 def makes_surfaces(table: PointTable) -> PointTable:
-    """Points that a raster may rest on, or that say how much noise there is.
+    """Points that a raster may rest on, or that show what was flown.
 
     A point that no unit has labelled, or that lies outside the area, is none.
     """
     chosen = known(table)
     chosen &= ~stray(table, spare_above=True)
-    optional = (*surface_rasters.COLUMNS_OF_INTENSITY, "afterpulse")
-    also = [name for name in optional if name in table]
+    also = [name for name in surface_rasters.OPTIONAL if name in table]
     return table.select((*surface_rasters.COLUMNS_NEEDED, *also)).take(chosen)
 
 

@@ -17,7 +17,7 @@ DTM    TIN through one vertex per raster cell, evaluated at cell centres: the ro
 DSM    Highest return of the cell that is ground or that its peers confirm: more of
        them in a sphere than noise alone puts there, spheres from ``dsm_near_m`` to
        ``dsm_support_m`` in turn (:mod:`spl_batch.airborne.products.top_surface`).
-       The returns that the filter refused measure that noise; without any,
+       That noise is what the filter expects; where none is known,
        ``dsm_support`` returns do. A wire of few returns per metre stands out of the
        DSM only where there is little noise. In a pit, more than 2 m below most cells
        around, the highest return up to their level needs no peers. Where none is
@@ -50,7 +50,6 @@ from spl_batch.airborne.products.cell_values import (
 )
 from spl_batch.airborne.products.flown_cells import about_ground, covered_cells
 from spl_batch.airborne.products.gap_surface import FAR_M, bridged
-from spl_batch.airborne.products.noise_aloft import noise_by_cell
 from spl_batch.airborne.products.terrain_quality import Scatter, scatter_of, terrain_sigma
 from spl_batch.airborne.products.top_surface import (
     cells_within,
@@ -66,10 +65,13 @@ from spl_batch.numerics.nearest_heights import nearest_heights
 from spl_batch.numerics.triangulation.tin_raster import tin_raster
 
 COLUMNS_NEEDED: Final = ("x", "y", "z", "noise_class", "ground", "flags")
-"""Columns that :func:`surfaces` reads, and ``afterpulse`` where the time domain ran."""
+"""Columns that :func:`surfaces` reads, and :data:`OPTIONAL` ones."""
 
 COLUMNS_OF_INTENSITY: Final = ("intensity", "return_number")
 """Columns that it reads where they are there, for a raster of what was delivered."""
+
+OPTIONAL: Final = (*COLUMNS_OF_INTENSITY, "afterpulse", "noise_density")
+"""All that it reads where it is there: what the time domain and the filter give."""
 
 FLOOR_SIGMA: Final = 3.0
 """Ground returns this near to the median of their cell are no outliers [standard deviations of a
@@ -151,7 +153,7 @@ class _Surfaces:
         table, cell, settings, size = self._table, self._cell, self._settings, self._size
         signal, level = _signal(table, cell, settings)
         near = grow(cell, top_margin(settings) * size)
-        support = support_of(noise_by_cell(table, self.region, near, size), settings)
+        support = support_of(_noise_aloft(signal, near, size), settings)
         dsm, lent = top_surface(signal, level, support, cell, settings)
         ground = self._means()
         dtm, sigma = self._terrain(near, *ground)
@@ -254,7 +256,7 @@ def _signal(
     usable = (noise_class == NOISE_SIGNAL) | (noise_class == NOISE_NOT_ASSESSED)
     usable &= ~table.has(EXCLUDED | PointFlag.OUTSIDE_AOI)
     usable &= inside(table["x"], table["y"], near)
-    also = (name for name in (*COLUMNS_OF_INTENSITY, "afterpulse") if name in table)
+    also = (name for name in OPTIONAL if name in table)
     signal = table.select((*COLUMNS_NEEDED, *also)).take(usable)
     level = (signal["noise_class"] == NOISE_NOT_ASSESSED).astype(np.uint8)
     if not level.any():
@@ -264,6 +266,17 @@ def _signal(
     assessed = np.bincount(number[level == 0], minlength=rows * cols) > 0
     kept = (level == 0) | ~assessed[number]
     return signal.take(kept), level[kept]
+
+
+def _noise_aloft(signal: PointTable, near: Bounds, size: int) -> NDArray[np.float64]:
+    """Most noise that is expected at a return of each raster cell, row by row [1/m3]."""
+    rows, cols = shape_of(near, size)
+    found = np.zeros(rows * cols)
+    if "noise_density" in signal:
+        expected = signal["noise_density"]
+        known = np.isfinite(expected)
+        np.maximum.at(found, cell_number(signal, near, size)[known], expected[known])
+    return found
 
 
 def _counts(signal: PointTable, cell: Bounds, size: int) -> dict[str, NDArray[np.float64]]:

@@ -21,7 +21,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import pdtrc
+from scipy.special import gammaincinv
 
 from spl_batch.airborne.beams.dependent_returns import dependents
 from spl_batch.airborne.products.cell_values import (
@@ -45,6 +45,10 @@ PIT_NEIGHBOURS = 6
 
 RIM_NEIGHBOURS = 2
 """Of eight cells around, those whose tops confirm a return of a cell without ground [count]."""
+
+
+COUNTS: Final = 256
+"""Peers that confirm a return in any noise [count]."""
 
 
 class Support(NamedTuple):
@@ -86,27 +90,21 @@ def top_margin(settings: ProductSettings) -> int:
     return _void_cells(settings) + _support_cells(settings)
 
 
-def _critical(expected: float, settings: ProductSettings) -> int:
-    """Smallest count that noise alone reaches rarely enough, and ``dsm_support`` at least."""
-    count = settings.dsm_support
-    # pdtrc(k - 1, m) = P(K >= k); it is 0 for m = 0 and k > 0.
-    while count > 0 and pdtrc(count - 1, expected) > settings.dsm_false_alarm:
-        count += 1
-    return count
-
-
 def support_of(noise: NDArray[np.float64], settings: ProductSettings) -> Support:
-    """What confirms a return, given the noise around each raster cell [1/m3]."""
-    radii_m = _scales_m(settings)
-    # Neighbours mostly share a density: few are left where it changes along a row.
-    opens = np.ones(len(noise), np.bool_)
-    opens[1:] = noise[1:] != noise[:-1]
-    densities, which = np.unique(noise[opens], return_inverse=True)
-    expected = [[4.0 / 3.0 * np.pi * per_m3 * r**3 for r in radii_m] for per_m3 in densities]
+    """What confirms a return, given the noise around each raster cell [1/m3].
+
+    The smallest count that noise alone reaches rarely enough, and ``dsm_support`` at least.
+    """
+    radii_m, least = _scales_m(settings), settings.dsm_support
+    densities, which = np.unique(noise, return_inverse=True)
+    expected = 4.0 / 3.0 * np.pi * densities[:, None] * np.array(radii_m) ** 3
+    # Up to this lambda P(K >= k | lambda) is small enough, by k.
+    most = gammaincinv(np.arange(max(least, 1), COUNTS), settings.dsm_false_alarm)
     return Support(
         radius=np.array([quanta(radius_m) for radius_m in radii_m]),
-        needed=np.array([[_critical(count, settings) for count in counts] for counts in expected]),
-        noise=which[np.cumsum(opens) - 1],
+        needed=least
+        + (np.searchsorted(most, expected) if least else np.zeros(expected.shape, np.int64)),
+        noise=which,
         neighbours=settings.dsm_spacing_neighbours,
         peer_ratio=settings.dsm_peer_ratio,
     )

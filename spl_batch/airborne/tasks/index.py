@@ -55,7 +55,7 @@ CHUNK_POINTS = 1 << 18
 BOXES = "boxes"
 """Name of the array of a file's index with the box of each chunk [quanta]."""
 
-PART_CHUNKS = 8
+PART_CHUNKS = 4
 """Chunks of a part of a file: several workers index a large one, a part each [count]."""
 
 

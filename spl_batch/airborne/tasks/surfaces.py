@@ -107,7 +107,7 @@ def _surfaces(cell: Cell) -> Rasters:
     workflow = cell.context.workflow
     # The intensity raster is of detections or of what was delivered.
     seen = surfacing.COLUMNS_OF_INTENSITY if cell.args["fired"] is None else ()
-    looked_at = (*surfacing.COLUMNS_NEEDED, "afterpulse", *seen)
+    looked_at = (*surfacing.COLUMNS_NEEDED, "afterpulse", "noise_density", *seen)
     region = grow(cell.core, cell.args["halo"])
     known = cell.read(region, looked_at, surface_points.known)[0]
     table = surface_points.makes_surfaces(known)

@@ -12,7 +12,6 @@ from spl_batch.airborne.products.cell_values import (
     _spread2,
     cell_number,
     fill_voids,
-    flown_over,
     robust_cell_means,
     sort_into_cells,
 )
@@ -197,19 +196,3 @@ def test_cells_are_numbered_by_floor_division(seed: int, size: int) -> None:
     table = PointTable({"x": x + west, "y": y + south})
     bounds = Bounds(west, south, west + 12 * size, south + 5 * size)
     assert np.array_equal(cell_number(table, bounds, size), y // size * 12 + x // size)
-
-
-@given(seed=st.integers(0, 50), n=st.integers(0, 200))
-def test_cells_flown_over_are_those_with_a_point_within_bounds(seed: int, n: int) -> None:
-    rng = np.random.default_rng(seed)
-    x, y = rng.integers(-30, 130, (2, n))
-    z = rng.integers(-50, 50, n).astype(np.int32)
-    kind = rng.integers(0, 3, n).astype(np.uint8)
-    flown, (heights, cells) = np.zeros(8 * 10, np.bool_), np.empty((2, n), np.int32)
-    count = flown_over((x, y, z), (kind, 1), (0, 20, 100, 100), 10.0, flown, heights, cells)
-    within = (x >= 0) & (x < 100) & (y >= 20) & (y < 100)
-    expected = {(b, a) for a, b in zip(x[within] // 10, (y[within] - 20) // 10, strict=True)}
-    assert {tuple(cell) for cell in np.argwhere(flown.reshape(8, 10))} == expected
-    picked = within & (kind == 1)
-    assert heights[:count].tolist() == z[picked].tolist()
-    assert cells[:count].tolist() == ((y[picked] - 20) // 10 * 10 + x[picked] // 10).tolist()

@@ -107,18 +107,3 @@ def test_sparse_or_full_ground_stays_as_it_is(share):
 def test_no_ground_at_all_stays_void():
     _, found = both(ground(HILL, np.zeros_like(HALL)))
     assert np.isnan(found).all()
-
-
-@pytest.mark.parametrize("rim", [3, 5])
-@pytest.mark.parametrize("quay", [True, False])
-def test_land_beyond_a_wall_lends_the_gap_no_slope(rim, quay):
-    rng = np.random.default_rng(4)
-    hall = (np.abs(ROW - 70) < 14) & (np.abs(COLUMN - 70) < 12)
-    built = 82 + rim > COLUMN
-    if not quay:
-        built &= (58 - rim < COLUMN) & (np.abs(ROW - 70) < 14 + rim)
-    height = 10.0 * built + 0.02 * ROW + rng.normal(0, 0.05, ROW.shape)
-    held = ~hall & (rng.random(ROW.shape) < 0.9)
-    _, found = both(ground(height, held))
-    deep = inner(ndimage.distance_transform_edt(hall)) > FAR_M
-    assert np.abs(found - 10 - inner(0.02 * ROW))[deep].max() < 0.15
