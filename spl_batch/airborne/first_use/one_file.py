@@ -289,11 +289,9 @@ def _proposal(
         reasons["survey.trajectory"] = (
             "beams: from where lines of sight meet, or vertical; --trajectory gives them"
         )
-    # No raster but the terrain is delivered, and to make the others of detections takes longest.
-    products = {"intensity": "las"}
-    return reasons, {
-        "survey": survey, "products": products, "outputs": outputs, "output": "out"
-    }  # fmt: skip
+    # No raster but the terrain is delivered, so none is made of detections.
+    rest = {"products": {"intensity": "las"}, "outputs": outputs, "output": "out"}
+    return reasons, {"survey": survey, **rest}
 
 
 def _moves(

@@ -12,7 +12,7 @@ from spl_batch.airborne.simulate.detector import Receiver
 from spl_batch.airborne.simulate.flight import Pass, pixel_offsets
 from spl_batch.airborne.simulate.scene.layout import Layout
 from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays, lit_share
-from spl_batch.airborne.simulate.scene.scene_file import LagTail, Scene
+from spl_batch.airborne.simulate.scene.scene_file import Scene
 from spl_batch.airborne.simulate.shots import Optics
 from spl_batch.constants import SPEED_OF_LIGHT_M_S
 from spl_batch.errors import WorkflowError
@@ -60,24 +60,30 @@ def make_optics(scene: Scene) -> Optics:
         math.radians(sensor.half_cone_deg),
         # the full divergence is to 1/e2 of the intensity: four standard deviations
         sensor.beam_divergence_urad * 1e-6 / 4,
-        scene.detecting.range_sigma_m,
+        _or(scene.detector.range_sigma_m, sensor.range_sigma_m),
         link_constant(sensor),
         scene.sky.extinction_per_m,
     )
 
 
 def make_receiver(scene: Scene) -> Receiver:
-    """Dead time and afterpulses of a scene's detector, as range."""
-    sensor, tail = scene.detecting, scene.detector.tail or LagTail(share=0.0)
+    """Dead time, afterpulses and range walk of a scene's detector, as range."""
+    sensor, own = scene.instrument, scene.detector
+    tail = own.tail
     return Receiver(
         sensor.dead_m,
-        sensor.afterpulse_probability,
-        sensor.afterpulse_scale_m,
-        sensor.afterpulse_lag_max_m,
-        tail.share,
-        tail.scale_m,
-        tail.power or 0.0,
+        _or(own.afterpulse_probability, sensor.afterpulse_probability),
+        _or(own.afterpulse_scale_m, sensor.afterpulse_scale_m),
+        _or(own.afterpulse_lag_max_m, sensor.afterpulse_lag_max_m),
+        0.0 if tail is None else tail.share,
+        1.0 if tail is None else tail.scale_m,
+        0.0 if tail is None or tail.power is None else tail.power,
     )
+
+
+def _or(own: float | None, stated: float) -> float:
+    """Value of the scene's own detector, else the instrument's stated one."""
+    return stated if own is None else own
 
 
 def physical_noise(scene: Scene) -> Noise:

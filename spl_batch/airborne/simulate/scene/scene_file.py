@@ -356,13 +356,6 @@ class Scene(Section):
         base = load_preset(self.sensor) if isinstance(self.sensor, str) else self.sensor
         return Sensor.model_validate({**base.model_dump(), **self.sensor_overrides})
 
-    @property
-    def detecting(self) -> Sensor:
-        """The sensor as it really detects, lag tail apart."""
-        return self.instrument.model_copy(
-            update=self.detector.model_dump(exclude={"tail"}, exclude_none=True)
-        )
-
 
 def parse_scene(content: Mapping[str, Any], where: str) -> Scene:
     """Check a scene's content; a WorkflowError lists every fault in one line."""
