@@ -50,7 +50,6 @@ def by_stage(workflow: Path, output: Path) -> dict[str, float]:
     context.store.local.mkdir(parents=True)
     spent: dict[str, float] = {}
     for step in prepared.steps.values():
-        prepared.receiver.before(step, prepared)
         start = time.process_time()
         for task in list(step.planned(survey)):
             found = {(kind, name) for kind, name in task.needs if name in survey.of(kind)}

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,6 @@ from spl_batch.engine.tasks.context import RunContext
 from spl_batch.formats.reprojection import Reprojection
 from spl_batch.formats.units import Units
 from spl_batch.formats.vector_files import contains, read_polygons
-from spl_batch.lattice.tiles import quanta
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,12 +34,6 @@ class Context(RunContext[Workflow]):
         if outputs.units is None:
             return self.units
         return self.units.shown_in(outputs.units, places=outputs.crs is None)
-
-    @property
-    def rasters(self) -> Path:
-        """Raster cells of the working store; other cell sizes are kept apart."""
-        edges = self.workflow.ground.cell_m, self.workflow.products.cell_m
-        return self.store.path("rasters_{}_{}.zarr".format(*map(quanta, edges)))
 
     def within(self, name: str, x: NDArray[np.int64], y: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Which places, (n,) each [quanta], lie in the polygons of a file of the workflow."""

@@ -36,11 +36,10 @@ from spl_batch.airborne.plan.space_tasks import is_one_flightline
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import surface_reach_m
 from spl_batch.airborne.precompile import compiling
-from spl_batch.airborne.products.product_table import ABOVE_GEOID, NAMES, PRODUCTS
+from spl_batch.airborne.products.product_table import ABOVE_GEOID, PRODUCTS
 from spl_batch.airborne.report.model import Report
 from spl_batch.airborne.report.verdicts import screen_summary
 from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.airborne.store.raster_cells import create_raster_store
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.flow.warm_up import WarmUp
@@ -120,17 +119,6 @@ class Imaging(Receiver[Survey, Context]):
         inputs = prepared.ledger.inputs
         faults, late = map(told_together, (inputs.no_trajectory, inputs.reference.bad))
         return FirstLook(tuple(faults), late=tuple(late))
-
-    def before(self, step: Step, prepared: Prepared[Survey, Context]) -> None:
-        """Make room for the raster cells of ``surfaces``."""
-        workflow = prepared.ledger.workflow
-        if step.name == "surface":
-            create_raster_store(
-                prepared.context.rasters,
-                NAMES,
-                ground_cell=quanta(workflow.ground.cell_m),
-                raster_cell=quanta(workflow.products.cell_m),
-            )
 
     def after(
         self, step: Step, prepared: Prepared[Survey, Context], failed: Sequence[Receipt]

@@ -73,16 +73,16 @@ _catalogue = partial(_step, "report", "tasks.delivery", "delivery_tasks", delive
 
 STEPS: Final[Steps] = table(
     _index("trajectory_file", settings=("survey.trajectory_crs",), after=()),
-    _index("index_part", settings=_INDEXED, bytes_per_point=300, after=()),
+    _index("index_part", settings=_INDEXED, after=()),
     _index("index_file", settings=_INDEXED, unit="file", after=("index_part",)),
     _index(
         "trajectory",
         settings=("survey.trajectory_crs",),
         after=("trajectory_file", "index_file"),
     ),
-    _shots("sights", settings=_OBSERVED, unit="stretch", bytes_per_point=380),
+    _shots("sights", settings=_OBSERVED, unit="stretch"),
     _shots("sensor_path"),
-    _shots("observe", settings=_OBSERVED, unit="stretch", bytes_per_point=380),
+    _shots("observe", settings=_OBSERVED, unit="stretch"),
     _shots("fit_line", settings=_TIME, unit="flightline"),
     _scatter(
         "scatter",

@@ -5,7 +5,7 @@ Every region is half-open, ``[min, max)``, in integer quanta of
 belongs to exactly one tile, ground cell, voxel and raster cell, whatever else is in the survey.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -186,35 +186,6 @@ def shared_box(
     of_one = tuple(slice(a - c, b - c) for a, b, c in zip(low, high, first, strict=True))
     of_other = tuple(slice(a - c, b - c) for a, b, c in zip(low, high, corner, strict=True))
     return of_one, of_other
-
-
-def cell_runs(cells: Iterable[CellId]) -> list[list[int]]:
-    """Cells in few numbers: row, first column and the one past the last of each run.
-
-    Parameters
-    ----------
-    cells : iterable of CellId
-        In any order.
-
-    Returns
-    -------
-    list of [int, int, int]
-        From north to south, then from west to east.
-    """
-    runs: list[list[int]] = []
-    for cell in sorted(cells, key=lambda c: (-c.j, c.i)):
-        if runs and runs[-1][0] == cell.j and runs[-1][2] == cell.i:
-            runs[-1][2] += 1
-        else:
-            runs.append([cell.j, cell.i, cell.i + 1])
-    return runs
-
-
-def cells_of_runs(runs: Iterable[Sequence[int]]) -> Iterator[CellId]:
-    """Cells that :func:`cell_runs` was given, in its order."""
-    for j, first, stop in runs:
-        for i in range(first, stop):
-            yield CellId(i, j)
 
 
 class BoxIndex:

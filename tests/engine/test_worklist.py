@@ -227,20 +227,11 @@ def test_the_fullest_place_is_named_in_the_unit_of_the_survey() -> None:
         assert any(place in one.task for one in found), found
 
 
-def test_a_trajectory_of_any_length_fits_and_a_tile_needs_what_its_task_is_given(
-    tmp_path: Path,
-) -> None:
+def test_a_tile_needs_what_its_task_is_given() -> None:
     pieces = list(from_counts({CellId(3, 5): 10**6, CellId(900, 5): 10**5}, 100_000))
-    track = tmp_path / "track.sbet"
-    heaviest = []
-    for records in (10**6, 10**9):
-        with track.open("wb") as file:
-            file.truncate(136 * records)
-        found = needs(pieces, WORKFLOW, [10**9], 1, [track])
-        heaviest.append(next(n.memory_bytes for n in found if "trajectory" in n.task))
-    assert heaviest[0] == heaviest[1] < usable_bytes(800 * 2**20)
+    found = needs(pieces, WORKFLOW, [10**9], 1)
     assert task_bytes("build_tile", 10**6) in {need.memory_bytes for need in found}
-    assert len(found) >= 8
+    assert len(found) >= 7
 
 
 def test_rates_are_those_of_the_last_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

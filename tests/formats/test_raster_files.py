@@ -1,21 +1,15 @@
 """GeoTIFFs and the working raster store."""
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import pytest
 import rasterio
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spl_batch.airborne.store.raster_cells import (
-    create_raster_store,
-    read_window,
-    stored_blocks,
-    write_cell,
-)
+from spl_batch.airborne.store.raster_cells import stored_blocks, write_cell
 from spl_batch.constants import NODATA
-from spl_batch.errors import InputError, StoreError
+from spl_batch.engine.store.working_store import Store
+from spl_batch.errors import InputError
 from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds
 
@@ -88,56 +82,35 @@ def test_a_crs_that_nobody_knows_is_named(tmp_path):
         write_cog(tmp_path / "a", np.ones((2, 2)), shape=(2, 2), crs="EPSG:1234567", **PLACE)
 
 
-@pytest.fixture
-def store(tmp_path):
-    path = tmp_path / "rasters.zarr"
-    create_raster_store(path, ["dtm", "dsm"], ground_cell=10_000, raster_cell=1000)
-    return path
-
-
-def test_a_cell_is_one_file_and_comes_back_in_its_place(store, tmp_path):
-    values = sample(10, 10)
+def test_a_cell_comes_back_in_its_place(tmp_path):
+    store, values = Store(tmp_path), sample(10, 10)
     for cell in (CellId(-3, 5), CellId(40_000, 600_000)):
-        write_cell(store, cell, {"dtm": values, "dsm": values + 1})
         around = cell_bounds(cell, 10_000)
-        np.testing.assert_array_equal(read_window(store, "dtm", around), values)
+        written = write_cell(store, str(cell), around, {"dtm": values, "dsm": values + 1})
+        assert len(written) == 2
         part = Bounds(around.xmin + 4000, around.ymin + 3000, around.xmax - 2000, around.ymax)
-        np.testing.assert_array_equal(read_window(store, "dsm", part), values[:7, 4:8] + 1)
-    chunks = [p for p in (tmp_path / "rasters.zarr").rglob("*") if p.is_file() and "c" in p.parts]
-    assert len(chunks) == 4
+        ((row, col, block),) = stored_blocks(store, "dsm", [str(cell)], part)
+        np.testing.assert_array_equal(block, values[:7, 4:8] + 1)
+        assert (row, col) == (0, 0)
 
 
 @given(st.lists(st.tuples(st.integers(-3, 3), st.integers(-3, 3)), unique=True, max_size=8))
 @settings(max_examples=10, deadline=None)
 def test_a_mosaic_of_cells_equals_the_window(tmp_path_factory, places):
-    path = tmp_path_factory.mktemp("store") / "rasters.zarr"
-    create_raster_store(path, ["dtm"], ground_cell=3000, raster_cell=1000)
+    store = Store(tmp_path_factory.mktemp("store"))
     cells = [CellId(*place) for place in places]
     for k, cell in enumerate(cells):
-        write_cell(path, cell, {"dtm": np.full((3, 3), k, np.float32)})
+        values = np.full((3, 3), k, np.float32)
+        write_cell(store, str(cell), cell_bounds(cell, 3000), {"dtm": values})
     bounds = Bounds(-7000, -5000, 8000, 4000)
     mosaic = np.full((9, 15), NODATA, np.float32)
-    for row, col, block in stored_blocks(path, "dtm", bounds, cells, ground_cell=3000):
+    for row, col, block in stored_blocks(store, "dtm", map(str, cells), bounds):
         mosaic[row : row + block.shape[0], col : col + block.shape[1]] = block
     expected = np.full((21, 21), NODATA, np.float32)  # of the squares from -3 to 3
     for k, (i, j) in enumerate(places):
         row, col = 3 * (3 - j), 3 * (i + 3)
         expected[row : row + 3, col : col + 3] = k
     np.testing.assert_array_equal(mosaic, expected[8:17, 2:17])
-
-
-def test_making_the_store_again_keeps_it_and_other_sizes_are_refused(store):
-    write_cell(store, CellId(1, 1), {"dtm": sample(10, 10)})
-    names, sizes = ["dtm", "chm"], {"ground_cell": 10_000, "raster_cell": 1000}
-    with ThreadPoolExecutor(4) as pool:
-        made = [pool.submit(create_raster_store, store, names, **sizes) for _ in range(8)]
-    assert all(future.result() is None for future in made)
-    window = read_window(store, "dtm", Bounds(10_000, 10_000, 20_000, 20_000))
-    np.testing.assert_array_equal(window, sample(10, 10))
-    with pytest.raises(StoreError, match="was made for"):
-        create_raster_store(store, ["dtm"], ground_cell=10_000, raster_cell=500)
-    with pytest.raises(StoreError, match="whole multiple"):
-        create_raster_store(store, ["dtm"], ground_cell=10_000, raster_cell=3000)
 
 
 def test_a_raster_knows_its_statistics_whatever_the_order_of_its_pieces(tmp_path):

@@ -9,8 +9,6 @@ from spl_batch.lattice.tiles import (
     CellId,
     cell_bounds,
     cell_index,
-    cell_runs,
-    cells_of_runs,
     cells_touching,
     grow,
     inside,
@@ -91,13 +89,3 @@ def test_a_halo_reaches_as_far_as_it_says(region: Bounds, halo: int) -> None:
     outside = np.array([region.xmax + halo]), np.array([region.ymin])
     assert not inside(*outside, wide)[0]
     assert grow(grow(region, halo), 7) == grow(region, halo + 7)
-
-
-@given(st.sets(st.builds(CellId, st.integers(-9, 9), st.integers(-9, 9))))
-def test_runs_are_the_cells_they_were_made_of(cells: set[CellId]) -> None:
-    runs = cell_runs(cells)
-    assert list(cells_of_runs(runs)) == sorted(cells, key=lambda c: (-c.j, c.i))
-    assert cell_runs(cells_of_runs(runs)) == runs
-    rows = [[c.j for c in cells].count(j) for j in {c.j for c in cells}]
-    assert len(runs) >= len(rows)
-    assert len(cell_runs(CellId(i, j) for i in range(500) for j in range(3))) == 3

@@ -6,7 +6,6 @@ per cell is what it is.
 """
 
 import itertools
-import math
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Final
 
@@ -18,7 +17,6 @@ from spl_batch.airborne.accuracy.raster_and_reference import Raster, Reference
 from spl_batch.constants import CLASS_BUILDING, CLASS_GROUND, CLASS_WATER
 from spl_batch.formats.rasters.parts import Grid, known
 from spl_batch.numerics.compiled import njit
-from spl_batch.numerics.nearest_cells import distances
 from spl_batch.numerics.neighbours.point_grid import PointGrid
 
 OPEN_M: Final = 2.0
@@ -29,12 +27,6 @@ TALL_M: Final = 0.5
 
 CANOPY_M: Final = 2.0
 """Vegetation this far above a ground point within 1 m makes it ground under canopy [m]."""
-
-CELLS: Final = 4
-"""Cells in the radius that is looked for [count]; speed only."""
-
-CELLS_MAX: Final = 64
-"""Cells for each point beyond which all are searched for [count]: points lie far apart."""
 
 RETURNS_M: Final = 0.5
 """Kept returns are compared with a reference return no farther off, along and up [m]."""
@@ -115,37 +107,10 @@ def _cover(reference: Reference) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
 def _near(
     points: NDArray[np.float64], others: NDArray[np.float64], radius_m: float
 ) -> NDArray[np.bool_]:
-    """Which points have one of the others within a horizontal distance.
-
-    Distances between cells settle it for most; the others are searched for the rest.
-    """
-    if len(others) == 0 or len(points) == 0:
+    """Which points have one of the others nearer than this, horizontally: (n,) bool."""
+    if not len(others):
         return np.zeros(len(points), np.bool_)
-    low_m, high_m = _by_cells(points, others, radius_m / CELLS)
-    near = high_m < radius_m
-    unsure = np.flatnonzero(~near & (low_m <= radius_m))
-    near[unsure] = PointGrid.of(others).nearest(points[unsure], reach=radius_m)[:, 0] >= 0
-    return near
-
-
-def _by_cells(
-    points: NDArray[np.float64], others: NDArray[np.float64], cell_m: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Bounds of each point's distance from the nearest of the others [m]: two (n,) float64."""
-    mine, theirs, shape = [], [], []
-    for own, other in ((points[:, k], others[:, k]) for k in (0, 1)):
-        corner = min(own.min(), other.min())
-        mine.append(np.floor((own - corner) / cell_m).astype(np.int64))
-        theirs.append(np.floor((other - corner) / cell_m).astype(np.int64))
-        shape.append(int(max(mine[-1].max(), theirs[-1].max())) + 1)
-    if math.prod(shape) > CELLS_MAX * (len(points) + len(others)):
-        return np.zeros(len(points)), np.full(len(points), np.inf)
-    held = np.zeros(shape, np.bool_)
-    held[*theirs] = True
-    apart_m = cell_m * distances(held)[*mine]
-    # each of the two lies up to half a diagonal from the centre of its cell
-    diagonal_m = cell_m * math.sqrt(2.0) * (1.0 + 1e-9)
-    return apart_m - diagonal_m, apart_m + diagonal_m
+    return PointGrid.of(others).nearest(points, reach=radius_m)[:, 0] >= 0
 
 
 def surface_differences(dsm: Raster, reference: Reference) -> Differences:

@@ -55,9 +55,6 @@ class Tally:
         return self.errors_m[place].astype(np.float32)
 
 
-TOGETHER: Final = 100
-"""Places whose errors are added up at once [count]."""
-
 Tallies = dict[str, Tally]
 """Errors by class of surface; ``all`` holds every one."""
 
@@ -74,7 +71,8 @@ def add_up(parts: Iterable[Mapping[str, Tally]]) -> Tallies:
         for name, found in part.items():
             listed = waiting.setdefault(name, [])
             listed.append(found)
-            if len(listed) == TOGETHER:
+            # Added up where those that wait hold as much: in memory are twice as many at most.
+            if sum(len(one.steps) for one in listed[1:]) >= len(listed[0].steps):
                 listed[:] = [_together(listed)]
     return {name: _together(listed) for name, listed in waiting.items()}
 

@@ -32,11 +32,12 @@ OVERLAP_CLASS: Final = 12
 """Class of overlap points before there was a flag for them; it is not to be used."""
 
 
+SMALL_SHARE: Final = 0.01
+"""A flightline with less than this share of the largest one's area is not judged by itself, fewer
+first returns in none of them do not matter, nor does a smaller area off the edge, 0..1."""
+
 FILLED_SHARE: Final = 0.9
 """Squares of twice the nominal spacing that hold a first return, 0..1."""
-
-EDGE_SHARE: Final = 0.01
-"""Area off the edge, of all, that may go without a word about voids in it, 0..1."""
 
 KNOWN_SHARE: Final = 0.5
 """Checkpoints' own accuracy, of the largest RMSE_V: they shall be twice as accurate [7.12]."""
@@ -146,10 +147,6 @@ _NOT_COUNTED: Final = "the raster cells were made by a version that did not coun
 
 _MIDDLE: Final = " within the edges of each flightline"
 
-SMALL_SHARE: Final = 0.01
-"""A flightline with less than this share of the largest one's area is not judged by itself, and
-fewer first returns in none of them do not matter."""
-
 
 def _per_m2(density: float) -> str:
     return f"{significant(density)} per m\N{SUPERSCRIPT TWO}"
@@ -235,7 +232,7 @@ def _voids(known: Evidence) -> Requirement:
             "density.tif shows where"
         )
         return Requirement(*place, found, "fail", why, *where)
-    if pulses.bare_m2 > EDGE_SHARE * pulses.area_m2:
+    if pulses.bare_m2 > SMALL_SHARE * pulses.area_m2:
         why = (
             f"{number(pulses.bare_m2)} m\N{SUPERSCRIPT TWO} were flown without signal, off the "
             "edge or in wide holes: look at density.tif"

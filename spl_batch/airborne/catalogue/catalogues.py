@@ -126,7 +126,7 @@ def _layers(
     lines = args["flightlines"]
     flown = [
         in_units(outlines.get(one["id"]), units)
-        or _together([boxes[href] for href in one["files"]])
+        or shapely.union_all([boxes[href] for href in one["files"]])
         for one in lines
     ]
     keys = ("id", "points", "first_s", "last_s", "area_m2", "per_m2")
@@ -147,12 +147,6 @@ def in_units(shape: shapely.Geometry | None, units: Units) -> shapely.Geometry |
     if shape is None or units.are_metres:
         return shape
     return shapely.transform(shape, lambda xy: xy / units.horizontal_m)
-
-
-def _together(boxes: Sequence[shapely.Geometry]) -> shapely.Geometry:
-    """Where the files of a flightline lie, as several polygons."""
-    found = shapely.union_all(boxes)
-    return found if found.geom_type == "MultiPolygon" else shapely.MultiPolygon([found])
 
 
 def write_layers(path: Path, layers: Sequence[Layer], crs: str | None) -> Path:
@@ -180,7 +174,7 @@ def _write(path: Path, layer: Layer, crs: str) -> None:
     import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
 
     shapes = np.asarray(layer.shapes, object)
-    kinds = {shape.geom_type for shape in layer.shapes}
+    kind = max({shape.geom_type for shape in layer.shapes}, key=len)  # several parts, if any has
     pyogrio.raw.write(
         path,
         shapely.to_wkb(shapes),
@@ -188,7 +182,8 @@ def _write(path: Path, layer: Layer, crs: str) -> None:
         list(layer.columns),
         layer=layer.name,
         driver="GPKG",
-        geometry_type=f"{kinds.pop()}{' Z' if layer.shapes[0].has_z else ''}",
+        geometry_type=f"{kind}{' Z' if layer.shapes[0].has_z else ''}",
+        promote_to_multi=kind.startswith("Multi"),
         crs=crs,
         append=path.exists(),
     )

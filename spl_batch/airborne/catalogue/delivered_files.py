@@ -1,11 +1,10 @@
 """Delivered clouds and rasters as catalogues name them: where they lie, what they hold."""
 
-import datetime as dt
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import laspy
 import numpy as np
@@ -14,9 +13,7 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
 from spl_batch.airborne.settings import SurveySettings
-from spl_batch.constants import ADJUSTED_STANDARD_OFFSET_S
 from spl_batch.formats.crs import horizontal, same_crs, vertical
-from spl_batch.formats.gps_clock import leap_seconds
 from spl_batch.formats.rasters.parts import opened, place_m
 from spl_batch.formats.units import Units
 
@@ -38,35 +35,13 @@ CLIENT_TILES: Final = "client_tiles"
 REPROJECTED: Final = "reprojected"
 """Folder of clouds and rasters in another CRS or unit, below the output."""
 
-GPS_EPOCH: Final = dt.datetime(1980, 1, 6, tzinfo=dt.UTC)
-"""Where GPS time begins; it stands for a time that nothing tells."""
-
-EDGE_POINTS: Final = 8
-"""Points along an edge of a box that is moved to another CRS [count]."""
-
 
 Box = tuple[float, float, float, float]
 """West, south, east, north, in a CRS and its units."""
 
 
-class Span(NamedTuple):
-    """First and last moment of some points, in UTC."""
-
-    first: dt.datetime
-    last: dt.datetime
-
-
-def _utc_span(first_s: float, last_s: float) -> Span:
-    """Moments of two adjusted standard GPS times [s]."""
-    moments = (
-        GPS_EPOCH + dt.timedelta(seconds=s + ADJUSTED_STANDARD_OFFSET_S - leap_seconds(s))
-        for s in (first_s, last_s)
-    )
-    return Span(*moments)
-
-
-UNKNOWN_SPAN: Final = Span(GPS_EPOCH, GPS_EPOCH)
-"""Of points without a time, or of a clock that tells no year."""
+Span = tuple[float, float]
+"""First and last adjusted standard GPS time of some points [s]."""
 
 
 def plain_name(href: str) -> str:
@@ -84,7 +59,7 @@ class Cloud:
     #: West, south, lowest, east, north, highest, in its CRS and that's units.
     bounds: Sequence[float]
     points: int
-    span: Span
+    span_s: Span | None  #: None without times, or of a clock that tells no year.
     #: Name, bytes and kind (``floating``, ``unsigned``, ``signed``) of each dimension.
     dimensions: tuple[tuple[str, int, str], ...]
     crs: CRS | None  #: Of its coordinates.
@@ -108,19 +83,15 @@ class Cloud:
         return self.points / area_m2 if area_m2 else 0.0
 
 
-def read_cloud(output: Path, href: str, span_s: Sequence[float] | None, crs: CRS | None) -> Cloud:
-    """A delivered cloud in a CRS, from its header.
-
-    ``span_s``: first and last adjusted standard GPS time of its points [s]; None without times.
-    """
-    span = UNKNOWN_SPAN if span_s is None else _utc_span(*span_s)
+def read_cloud(output: Path, href: str, span_s: Span | None, crs: CRS | None) -> Cloud:
+    """A delivered cloud in a CRS, from its header."""
     with laspy.open(output / href) as reader:
         header = reader.header
         low, high = header.mins.tolist(), header.maxs.tolist()
         dimensions = tuple(_dimension(one) for one in header.point_format.dimensions)
         points = int(header.point_count)
     bounds = (*low, *high) if points else (0.0,) * 6
-    return Cloud(href, bounds, points, span, dimensions, crs)
+    return Cloud(href, bounds, points, span_s, dimensions, crs)
 
 
 def _dimension(one: Any) -> tuple[str, int, str]:
@@ -164,12 +135,10 @@ class Delivery:
     reprojected: Sequence[Cloud]  #: The same clouds in another CRS.
 
     @property
-    def span(self) -> Span:
+    def span_s(self) -> Span | None:
         """When the whole was flown."""
-        known = [cloud.span for cloud in self.clouds if cloud.span != UNKNOWN_SPAN]
-        if not known:
-            return UNKNOWN_SPAN
-        return Span(min(one.first for one in known), max(one.last for one in known))
+        ends = [end for cloud in self.clouds for end in cloud.span_s or ()]
+        return (min(ends), max(ends)) if ends else None
 
     def crs_of(self, made: Cloud | RasterFile) -> CRS:
         """The CRS of all, but of what lies in another, or is above something else, its own."""
@@ -182,7 +151,7 @@ class Delivery:
 
 def box_deg(box: Box, crs: CRS) -> Box:
     """A box of a CRS in longitudes and latitudes, of WGS 84 [deg]."""
-    west, south, east, north = _to_degrees(crs).transform_bounds(*box, densify_pts=EDGE_POINTS)
+    west, south, east, north = _to_degrees(crs).transform_bounds(*box)
     return west, south, east, north
 
 

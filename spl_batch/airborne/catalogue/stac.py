@@ -27,8 +27,13 @@ from spl_batch.airborne.catalogue.delivered_files import (
     plain_name,
 )
 from spl_batch.airborne.settings import SurveySettings
+from spl_batch.constants import ADJUSTED_STANDARD_OFFSET_S
 from spl_batch.errors import plain
 from spl_batch.formats.files.atomic import write_bytes
+from spl_batch.formats.gps_clock import leap_seconds
+
+GPS_EPOCH: Final = dt.datetime(1980, 1, 6, tzinfo=dt.UTC)
+"""Where GPS time begins."""
 
 LONGEST_ID: Final = 200
 """Of an item: file systems allow names of 255 bytes [byte]."""
@@ -52,19 +57,13 @@ def _item_ids(hrefs: Sequence[str]) -> dict[str, str]:
 
     Names that are too long for that, or would be those of two files, end in a hash.
     """
-    plain = {href: plain_name(href) for href in hrefs}
-    taken = Counter(name.casefold() for name in plain.values())
-    return {
-        href: name
-        if taken[name.casefold()] == 1 and len(name.encode()) <= LONGEST_ID
-        else _short_id(name, href)
-        for href, name in plain.items()
-    }
-
-
-def _short_id(name: str, href: str) -> str:
-    start = name.encode()[: LONGEST_ID - 17].decode(errors="ignore")
-    return f"{start}-{hashlib.blake2b(href.encode(), digest_size=8).hexdigest()}"
+    names = {href: plain_name(href) for href in hrefs}
+    taken = Counter(name.casefold() for name in names.values())
+    for href, name in names.items():
+        if taken[name.casefold()] > 1 or len(name.encode()) > LONGEST_ID:
+            start = name.encode()[: LONGEST_ID - 17].decode(errors="ignore")
+            names[href] = f"{start}-{hashlib.blake2b(href.encode(), digest_size=8).hexdigest()}"
+    return names
 
 
 def write_stac(output: Path, delivery: Delivery) -> list[Path]:
@@ -109,7 +108,7 @@ def _collection(delivery: Delivery, items: Sequence[Record]) -> Record:
         "title": delivery.name,
         "extent": {
             "spatial": {"bbox": [[min(west), min(south), max(east), max(north)]]},
-            "temporal": {"interval": [[_moment(end) for end in delivery.span]]},
+            "temporal": {"interval": [_moments(delivery.span_s)]},
         },
         "license": "other" if licence is None or is_url else licence,
         "providers": [
@@ -123,8 +122,13 @@ def _link(rel: str, name: str = "collection.json", kind: str = "application/json
     return {"rel": rel, "href": f"./{name}", "type": kind}
 
 
-def _moment(time: dt.datetime) -> str:
-    return time.isoformat().replace("+00:00", "Z")
+def _moments(span_s: Span | None) -> list[str]:
+    """First and last moment in UTC; where no time is known, that in which GPS time begins."""
+    found = [GPS_EPOCH, GPS_EPOCH]
+    if span_s is not None:
+        since_s = (end + ADJUSTED_STANDARD_OFFSET_S - leap_seconds(end) for end in span_s)
+        found = [GPS_EPOCH + dt.timedelta(seconds=s) for s in since_s]
+    return [time.isoformat().replace("+00:00", "Z") for time in found]
 
 
 def _producer(survey: SurveySettings) -> list[Record]:
@@ -167,7 +171,7 @@ def _slug(name: str) -> str:
 def _cloud_item(name: str, cloud: Cloud, delivery: Delivery) -> Record:
     low, high = cloud.bounds[2], cloud.bounds[5]
     kind = COPC_TYPE if cloud.href.endswith(".copc.laz") else LAZ_TYPE
-    item = _item(name, cloud, delivery, cloud.span, {"type": kind})
+    item = _item(name, cloud, delivery, cloud.span_s, {"type": kind})
     heights_m = [end * cloud.units.vertical_m for end in (low, high)]
     item["bbox"] = _with_heights(item["bbox"], heights_m)
     item["stac_extensions"].append(POINT_CLOUD)
@@ -189,7 +193,7 @@ def _cloud_item(name: str, cloud: Cloud, delivery: Delivery) -> Record:
 def _raster_item(name: str, raster: RasterFile, delivery: Delivery) -> Record:
     unit = {"unit": raster.unit} if raster.unit else {}
     asset = {"type": COG_TYPE, "title": raster.meaning, **unit}
-    item = _item(name, raster, delivery, delivery.span, asset)
+    item = _item(name, raster, delivery, delivery.span_s, asset)
     west, _, _, north = raster.box
     item["properties"] |= {
         "title": raster.meaning,
@@ -201,11 +205,11 @@ def _raster_item(name: str, raster: RasterFile, delivery: Delivery) -> Record:
 
 
 def _item(
-    name: str, made: Cloud | RasterFile, delivery: Delivery, span: Span, asset: Record
+    name: str, made: Cloud | RasterFile, delivery: Delivery, span_s: Span | None, asset: Record
 ) -> Record:
     """What items of clouds and of rasters have in common."""
     crs = delivery.crs_of(made)
-    authority = crs.to_authority()
+    authority, (first, last) = crs.to_authority(), _moments(span_s)
     return {
         "type": "Feature",
         "stac_version": "1.1.0",
@@ -215,8 +219,8 @@ def _item(
         "bbox": list(box_deg(made.box, crs)),
         "properties": {
             "datetime": None,
-            "start_datetime": _moment(span.first),
-            "end_datetime": _moment(span.last),
+            "start_datetime": first,
+            "end_datetime": last,
             "proj:code": ":".join(authority) if authority else None,
             "proj:wkt2": crs.to_wkt("WKT2_2019"),
             "proj:geometry": outline(made.box),

@@ -34,10 +34,7 @@ STANDS_M: Final = 2.0
 """Buildings stand so high above the ground, at least [m]."""
 
 CELLS_M: Final = (1.0, 2.0, 4.0)
-"""Edges of the cells that are tried [m]."""
-
-GROUND_CELL_M: Final = 1.0
-"""Edge of the cells of the ground [m]."""
+"""Edges of the cells that are tried [m]; those of the ground are as the smallest."""
 
 FEWEST: Final = 6
 """Returns that make a plane [count]."""
@@ -88,7 +85,7 @@ class Floor:
 
     def __init__(self, region: Bounds, table: PointTable, usable: NDArray[np.bool_]) -> None:
         self.region = region
-        self._grid = _Grid(region, quanta(GROUND_CELL_M))
+        self._grid = _Grid(region, quanta(min(CELLS_M)))
         cells = self._grid.rows * self._grid.columns
         self._sum, self._count = np.zeros((2, cells), np.int64)
         ground = usable & (table["ground"] == 1)

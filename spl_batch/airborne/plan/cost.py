@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -32,36 +32,31 @@ DELIVERED_BYTES_PER_POINT: Final = 12
 REFERENCE_BYTES_PER_POINT: Final = 35
 """A point of the reference in the working store while its file is cut into squares [byte]."""
 
-RATES_POINTS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
-    {
-        "index": 1.8e6,
-        "shots": 2.0e6,
-        "shuffle": 0.95e6,
-        "denoise": 0.45e6,
-        "ground": 1.5e6,
-        "surfaces": 1.05e6,
-        "deliver": 2.9e6,
-        "report": 0.85e6,
-    }
-)
-"""Points per second and worker until a store has measured its own, those of ``report`` of the
-reference, those of ``denoise`` of cells and of margins as :data:`~.grid.MARGIN_COST` has them:
-``python -m benchmarks.plan_cost FOLDER``, by the logs of its runs on an idle machine."""
 
-TASK_S: Final[Mapping[str, float]] = MappingProxyType(
+class Pace(NamedTuple):
+    """What a stage takes of a worker."""
+
+    points_per_s: float
+    task_s: float  #: What a task takes however few points it has [s].
+
+
+PACES: Final[Mapping[str, Pace]] = MappingProxyType(
     {
-        "index": 0.01,
-        "shots": 0.005,
-        "shuffle": 0.015,
-        "denoise": 1.0,
-        "ground": 0.3,
-        "surfaces": 0.3,
-        "deliver": 0.03,
-        "report": 0.02,
+        "index": Pace(1.8e6, 0.01),
+        "shots": Pace(2.0e6, 0.005),
+        "shuffle": Pace(0.95e6, 0.015),
+        "denoise": Pace(0.45e6, 1.0),
+        "ground": Pace(1.5e6, 0.3),
+        "surfaces": Pace(1.05e6, 0.3),
+        "deliver": Pace(2.9e6, 0.03),
+        "report": Pace(0.85e6, 0.02),
     }
 )
-"""What a task takes however few points it has [s]: files to open and to put in place, and air and
-raster cells to look through. From the same runs; the sparse one of them has little else."""
+"""Of each stage until a store has measured its points per second, those of ``report`` of the
+reference, those of ``denoise`` of cells and of margins as :data:`~.grid.MARGIN_COST` has them.
+Tasks open files and put them in place, and look through air and raster cells. From ``python -m
+benchmarks.plan_cost FOLDER``, by the logs of its runs on an idle machine; the sparse one of them
+has little but tasks."""
 
 COPC_POINTS_PER_S: Final = 0.64e6
 """Points per second that become an octree: a line of 3 million returns in 4.6 s."""
@@ -98,13 +93,14 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     stretches = sum(-(-s.facts.n_points // STRETCH_POINTS) for s in sources)
     files = [s.facts.n_points for s in sources]
     units = Units.of(survey.inputs.crs)
-    held = needs(pieces, workflow, files, side, survey.inputs.trajectory, units)
+    held = needs(pieces, workflow, files, side, units)
     heaviest = max(held, key=lambda need: need.memory_bytes)
-    rates, measured = measured_rates(RATES_POINTS_PER_S, context)
+    usual = {stage: pace.points_per_s for stage, pace in PACES.items()}
+    rates, measured = measured_rates(usual, context)
     compared = sum(facts.n_points for facts in survey.inputs.reference.usable)
     work = dict.fromkeys(rates, float(points)) | {"report": float(compared)}
     # What a store has measured has margins, the time of its tasks and its octrees in it.
-    typical = {stage for stage, rate in rates.items() if rate == RATES_POINTS_PER_S[stage]}
+    typical = {stage for stage, rate in rates.items() if rate == usual[stage]}
     if "denoise" in typical:
         work["denoise"] = denoised.work
     delivered = len(sources) + (tiles if workflow.outputs.tiles != "none" else 0)
@@ -125,7 +121,7 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
         "deliver": delivered + _rasters_and_comparisons(survey, cells),
         "report": sum(map(len, survey.inputs.reference)) + reference_tasks.squares(survey),
     }
-    alone = {stage: TASK_S[stage] * tasks[stage] * (stage in typical) for stage in rates}
+    alone = {stage: PACES[stage].task_s * tasks[stage] * (stage in typical) for stage in rates}
     if "deliver" in typical:
         alone["deliver"] += workflow.outputs.copc * points / COPC_POINTS_PER_S
     alone["report"] += ALONE_S * survey.workers

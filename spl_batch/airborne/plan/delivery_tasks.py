@@ -28,7 +28,6 @@ from spl_batch.lattice.tiles import (
     Bounds,
     BoxIndex,
     CellId,
-    cell_runs,
     cells_touching,
     far_apart,
     parse_cell,
@@ -93,7 +92,7 @@ def deliver_tile(survey: Survey) -> Iterator[Task]:
 
 def mosaic(survey: Survey) -> Iterator[Task]:
     """Rasters of the survey."""
-    cells = sorted(map(parse_cell, survey.of("surface")))
+    cells = sorted(map(parse_cell, survey.of("surface")), key=lambda cell: (-cell.j, cell.i))
     if not cells:
         return
     bounds = mosaic_bounds(survey)
@@ -106,10 +105,9 @@ def mosaic(survey: Survey) -> Iterator[Task]:
             f"a raster of the whole survey has {grouped(pixels)} cells, more than "
             f"{grouped(MOST_PIXELS)}; leave out the files that lie far from the others"
         )
-    squares = [square for cell in cells for square in survey.grid.squares(cell)]
     needs = tuple(("surface", str(cell)) for cell in cells)
     for product in products(reflectance=knows_reflectance(survey)):
-        place = {"cells": cell_runs(sorted(squares)), "bounds": list(bounds)}
+        place = {"cells": [str(cell) for cell in cells], "bounds": list(bounds)}
         args = {**product._asdict(), **place}
         yield Task("mosaic", product.name, args, needs, 0, refused)
 

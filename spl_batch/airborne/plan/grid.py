@@ -107,10 +107,6 @@ class Grid(NamedTuple):
             alone.ymax if cell.j < self.high.j else self.reached.ymax,
         )
 
-    def squares(self, cell: CellId) -> Iterator[CellId]:
-        """Squares that a cell owns, row by row."""
-        return cells_touching(self.core(cell), self.edge)
-
     def units(self, counts: Mapping[CellId, int], tile_q: int, margin: int) -> Iterator[Unit]:
         """Cells that may own points of a tile, with what they read; in their order."""
         touched = {cell for tile in counts for cell in self._of_tile(tile, tile_q)}

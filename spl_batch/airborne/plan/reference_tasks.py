@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from spl_batch.airborne.accuracy.differences import OPEN_M
 from spl_batch.airborne.plan.space_tasks import points_of
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import UNEVEN, points_within, refusal
@@ -17,9 +18,6 @@ from spl_batch.lattice.tiles import CellId, cell_bounds, overlap, parse_cell, qu
 
 SQUARE_POINTS: Final = 1_000_000
 """Points that a square holds on average, at most, where no two files overlap [count]."""
-
-MARGIN_M: Final = 4.0
-"""What stands within 2 m of a point, above ground that is again within 2 m of it [m]."""
 
 MARGIN_CELLS: Final = 2
 """Raster cells whose tops tell whether their neighbour is a roof's edge [count]."""
@@ -116,7 +114,8 @@ def _lattice(survey: Survey) -> tuple[int, int]:
     The edge is a power of two of raster cells: a file more seldom changes it.
     """
     cell = quanta(survey.workflow.products.cell_m)
-    margin = max(quanta(MARGIN_M), MARGIN_CELLS * cell)
+    # what stands beside a point stands above ground that is beside it
+    margin = max(quanta(2 * OPEN_M), MARGIN_CELLS * cell)
     boxes = [facts for facts in survey.inputs.reference.usable if facts.n_points]
     area_m2 = sum(facts.area_m2 for facts in boxes)
     points = sum(facts.n_points for facts in boxes)

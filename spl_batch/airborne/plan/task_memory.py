@@ -7,10 +7,10 @@ A task's need is that of a worker that has loaded its kernels and the points tha
 times the bytes of each; ``benchmarks/memory.py`` measures them.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from pathlib import Path
-from types import MappingProxyType
+from collections.abc import Iterator, Sequence
 from typing import Final, NamedTuple
+
+import numpy as np
 
 from spl_batch.airborne.classes import buildings
 from spl_batch.airborne.filter import denoise
@@ -19,8 +19,7 @@ from spl_batch.airborne.products import surface_rasters
 from spl_batch.airborne.products.reflectance import reflectance
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.steps import STEPS
-from spl_batch.airborne.tasks.delivery import PASS_POINTS
-from spl_batch.airborne.tasks.index import CHUNK_POINTS
+from spl_batch.airborne.tasks.delivery import PASS_POINTS, written_labels
 from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.plan.worker_memory import (
     LOADED_BASE_BYTES,
@@ -28,11 +27,10 @@ from spl_batch.engine.plan.worker_memory import (
     enough_mib,
     usable_bytes,
 )
-from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.errors import grouped
-from spl_batch.formats.trajectory.positions import WAITING_RECORDS
 from spl_batch.formats.units import METRES, Units
 from spl_batch.lattice.density import Piece, largest
+from spl_batch.lattice.tables import COLUMNS
 from spl_batch.lattice.tiles import Bounds, grow, quanta
 
 RASTER_BYTES: Final = 400
@@ -43,26 +41,6 @@ STRETCH_POINTS: Final = 1_000_000
 
 UNEVEN: Final = 2
 """A stretch is a span of time: where much returns, it holds more than the average, up to this."""
-
-BYTES_PER_LABEL: Final = 3
-"""Labels of a point of the file that is delivered [byte]."""
-
-BYTES_PER_DIAGNOSTIC: Final = 9
-"""And where diagnostics are delivered [byte]."""
-
-BYTES_PER_HEIGHT: Final = 4
-"""And where heights above the terrain are delivered [byte]."""
-
-BYTES_PER_RECORD: Final = 200
-"""A trajectory's record that waits for its place in time [byte]."""
-
-RECORD_BYTES: Final[Mapping[str, int]] = MappingProxyType(
-    {".out": 136, ".sbet": 136, ".parquet": 20, ".pq": 20}
-)
-"""Size of a trajectory's record on disk, at the least [byte]."""
-
-CSV_RECORD_BYTES: Final = 30
-"""The same where a record is a line of text [byte]."""
 
 
 def halo_m(workflow: Workflow) -> float:
@@ -137,18 +115,18 @@ def needs(
     workflow: Workflow,
     files: Sequence[int],
     side: int,
-    trajectory: Iterable[Path] = (),
     units: Units = METRES,
 ) -> list[Need]:
     """Memory of the heaviest task of each kind, where the points of ``pieces`` lie.
+
+    Those that hold less than a stretch are left out: parts of files, and the trajectory.
 
     ``files``: points of each file; ``side``: tiles along one side of a cell of ``denoise`` [count];
     ``units``: in which places are named.
     """
     points, most = sum(files), max(files, default=0)
-    of_a_point = BYTES_PER_LABEL + BYTES_PER_DIAGNOSTIC * workflow.outputs.diagnostics
-    of_a_point += BYTES_PER_HEIGHT * workflow.outputs.height_above_ground
-    records = sum(_records(path) for path in trajectory)
+    # Beside its labels a task knows of each point whether it is a copy.
+    labels = 1 + sum(np.dtype(COLUMNS[name].dtype).itemsize for name in written_labels(workflow))
     found = list(_cells(pieces, workflow, side, units))
     if workflow.outputs.copc:
         task = f"{name_of('deliver_copc')} with {grouped(most)} points"
@@ -156,7 +134,6 @@ def needs(
     tiles = largest(piece.peak(quanta(workflow.tiling.tile_m), 0) for piece in pieces)
     return [
         *found,
-        Need("reading a file", task_bytes("index_part", min(points, CHUNK_POINTS)), ""),
         Need(
             "a stretch of a flightline",
             task_bytes("scatter", min(points, UNEVEN * STRETCH_POINTS)),
@@ -164,13 +141,8 @@ def needs(
         ),
         Need(
             "a file's labels",
-            task_bytes("deliver_tile", tiles.points) + min(most, PASS_POINTS) * of_a_point,
+            task_bytes("deliver_tile", tiles.points) + min(most, PASS_POINTS) * labels,
             "lower tiling.tile_m",
-        ),
-        Need(
-            f"a trajectory of about {grouped(records)} records",
-            LOADED_BASE_BYTES + min(records, WAITING_RECORDS) * BYTES_PER_RECORD,
-            "",
         ),
     ]
 
@@ -199,8 +171,3 @@ def _middle(core: Bounds, units: Units) -> str:
     if unit_m == 1.0:
         return metres
     return f"x {x / unit_m:.0f}, y {y / unit_m:.0f} {name} ({metres} m)"
-
-
-def _records(path: Path) -> int:
-    size = RECORD_BYTES.get(path.suffix.lower(), CSV_RECORD_BYTES)
-    return stamp_if_there(path)[0] // size

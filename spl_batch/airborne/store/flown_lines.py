@@ -25,7 +25,7 @@ SHIFTS: Final = ("overlaps", "shifts.npz")
 KEY: Final = (b"spl-batch", 1)
 """User id and number of the record of a file with the shifts: JSON."""
 
-LINES: Final = 2**16
+LINES: Final = int(np.iinfo(COLUMNS["line"].dtype).max) + 1
 """Numbers that a flightline can have [count]."""
 
 

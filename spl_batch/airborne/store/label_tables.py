@@ -16,13 +16,7 @@ from spl_batch.airborne.store.flown_lines import Shifts
 from spl_batch.engine.report.run_record import Receipts
 from spl_batch.engine.store.working_store import Store
 from spl_batch.engine.tasks.task import Need
-from spl_batch.formats.verified.parquet_npz import (
-    Groups,
-    groups_between,
-    ranges_of,
-    reading,
-    writing,
-)
+from spl_batch.formats.verified.parquet_npz import GroupIndex, groups_between, writing
 from spl_batch.lattice.row_order import in_order, lexicographic_order
 from spl_batch.lattice.tables import COLUMNS, PointTable, rows_of
 from spl_batch.lattice.tiles import Bounds, CellId, overlap
@@ -106,52 +100,13 @@ def _of_tile(
     return {"tile_i": place[0], "tile_j": place[1], **columns}
 
 
-class LabelFile:
-    """Where the row groups of a file of :func:`write_labels` belong, by its footer.
-
-    Raises DamagedError if the file is missing or damaged.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        with reading(path) as file:
-            self._footer = file.metadata
-        i, j, self._rows = (
-            np.array(ranges_of(self._footer, name), np.int64).reshape(-1, 2)
-            for name in ("tile_i", "tile_j", "row")
-        )
-        self._tile = np.stack([i[:, 0], j[:, 0]], axis=1)
-        #: Columns and rows of the tiles that it labels points of.
-        self.tiles = {(i, j) for i, j in self._tile.tolist()}
-
-    def read(
-        self, tile: CellId, names: Sequence[str], rows: tuple[int, int]
-    ) -> dict[str, NDArray[Any]]:
-        """Labels of the points of a tile.
-
-        Parameters
-        ----------
-        rows : (int, int)
-            First and last row of the tile that are wanted; row groups are read whole.
-
-        Returns
-        -------
-        dict of str to (m,) ndarray
-            The labels, and ``row``: which rows of the tile they belong to, increasing.
-        """
-        meets = (self._tile == tile).all(axis=1)
-        meets &= (self._rows[:, 0] <= rows[1]) & (self._rows[:, 1] >= rows[0])
-        groups = Groups(self._path, self._footer, np.flatnonzero(meets).tolist())
-        return groups.read(["row", *names])[0]
-
-
-Files = Callable[[Unit], LabelFile]
-"""Files of labels by unit, each of whose footers is read once."""
+Files = Callable[[Unit], GroupIndex]
+"""Files of :func:`write_labels` by unit, each of whose footers is read once."""
 
 
 def label_files(store: Store) -> Files:
     """Files of labels of a store."""
-    return cache(lambda unit: LabelFile(store.table(*unit)))
+    return cache(lambda unit: GroupIndex(store.table(*unit)))
 
 
 def _labels_of(
@@ -169,10 +124,13 @@ def _labels_of(
         return filled
     for name, units in labels.items():
         for unit in units:
-            if tile in files(unit).tiles:
-                wanted.setdefault(unit, []).append(name)
+            wanted.setdefault(unit, []).append(name)
+    span = {"tile_i": (tile.i, tile.i), "tile_j": (tile.j, tile.j), "row": (rows[0], rows[-1])}
     for unit, names in wanted.items():
-        part = files(unit).read(tile, names, (int(rows[0]), int(rows[-1])))
+        groups = files(unit).between(span)
+        if not groups.wanted:
+            continue
+        part, _ = groups.read(["row", *names])
         mine, at = _met(rows, part["row"])
         for name in names:
             filled[name][mine] = part[name].take(at)

@@ -1,15 +1,15 @@
 """Shares of the expected noise: what each stretch adds to the voxels, as Zarr groups."""
 
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-import zarr
 from numpy.typing import NDArray
 
 from spl_batch.engine.store.working_store import Store
 from spl_batch.formats.files.atomic import replacing
-from spl_batch.formats.verified.zarr_chunks import Metadata, pack, read_box, read_metadata
+from spl_batch.formats.verified.zarr_chunks import METADATA, Metadata, pack, read_box, read_metadata
 from spl_batch.lattice.tables import VoxelPart
 from spl_batch.lattice.tiles import shared_box
 
@@ -21,8 +21,10 @@ def write_voxels(path: Path, part: VoxelPart) -> None:
     """Write a stretch's share of the noise model as a Zarr group, atomically."""
     shape = part.amount.shape
     attributes = {"corner": list(part.corner)}
+    group = {"zarr_format": 3, "node_type": "group", "attributes": attributes}
     with replacing(path, durable=False) as temporary:
-        zarr.create_group(str(temporary), attributes=attributes)
+        temporary.mkdir()
+        (temporary / METADATA).write_text(json.dumps(group))
         for name in ("amount", "shots", "beamlets", "squares"):
             values: NDArray[Any] | None = getattr(part, name)
             if values is None:

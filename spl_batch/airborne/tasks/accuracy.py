@@ -31,9 +31,7 @@ from spl_batch.airborne.tasks.reference import read_square
 from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.run_record import Receipts, RunFacts
-from spl_batch.engine.store.working_store import forget_receipt
 from spl_batch.engine.tasks.context import Produced
-from spl_batch.errors import DamagedError
 from spl_batch.formats.rasters.parts import Grid, RasterPart, overview_frame
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
 from spl_batch.lattice.tables import PointTable
@@ -127,22 +125,10 @@ def _as_one(places: NDArray[np.int64]) -> NDArray[np.void]:
 
 
 def _as_arrays(product: str, found: Tallies) -> dict[str, NDArray[Any]]:
-    """Counts as they are kept; 32 bits hold errors of up to 214 km."""
-    arrays: dict[str, NDArray[Any]] = {}
-    for name, tally in found.items():
-        arrays[f"{product}.{name}.steps"] = tally.steps.astype(np.int32)
-        arrays[f"{product}.{name}.counts"] = tally.counts.astype(np.uint32)
-    return arrays
-
-
-def _as_tallies(arrays: Mapping[str, NDArray[Any]]) -> Tallies:
-    """Counts of a square, by ``PRODUCT.CLASS``."""
-    names = [name.removesuffix(".steps") for name in arrays if name.endswith(".steps")]
+    """Steps and counts as they are kept; 32 bits hold errors of up to 214 km."""
     return {
-        name: Tally(
-            arrays[f"{name}.steps"].astype(np.int64), arrays[f"{name}.counts"].astype(np.int64)
-        )
-        for name in names
+        f"{product}.{name}": np.array([tally.steps, tally.counts], np.int32)
+        for name, tally in found.items()
     }
 
 
@@ -227,19 +213,10 @@ def _squares(
     done: Receipts, context: Context, total: NDArray[np.int64], count: NDArray[np.int64]
 ) -> Iterator[Tallies]:
     """Errors that each square has found; what it says of the map is added to ``total, count``."""
-    damaged: DamagedError | None = None
     for square in done.get("accuracy", {}):
-        try:
-            arrays = read_arrays(context.store.path("accuracy", f"{square}.npz"))
-        except DamagedError as error:
-            if damaged is not None:
-                forget_receipt(context.store, "accuracy", square)  # made again with the first
-            damaged = damaged or error
-            continue
+        arrays = read_arrays(context.store.path("accuracy", f"{square}.npz"))
         if "cell" in arrays:
             # No cell is named twice by one square.
             total[arrays["cell"]] += arrays["total"]
             count[arrays["cell"]] += arrays["count"]
-        yield _as_tallies(arrays)
-    if damaged is not None:
-        raise damaged
+        yield {k: Tally(*v.astype(np.int64)) for k, v in arrays.items() if k not in _MAP}

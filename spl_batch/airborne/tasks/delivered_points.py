@@ -29,8 +29,8 @@ from spl_batch.lattice.tiles import (
     Bounds,
     CellId,
     cell_bounds,
-    cells_touching,
     grow,
+    overlap,
     quanta,
     whole_cells,
 )
@@ -52,10 +52,8 @@ class Terrain:
 
     def __init__(self, args: Mapping[str, Any], context: Context) -> None:
         self._context = context
-        self._edge = quanta(context.workflow.ground.cell_m)
         receipts = (read_receipt(context.store, "surface", n) for n in args["labels"]["surface"])
-        cores = [Bounds(*one.facts["core"]) for one in receipts if one is not None]
-        self._squares = {square for core in cores for square in cells_touching(core, self._edge)}
+        self._cores = {one.name: Bounds(*one.facts["core"]) for one in receipts if one is not None}
 
     def heights_above(self, tile: CellId, table: PointTable) -> NDArray[np.float32]:
         """Heights of a tile's points above the terrain, (n,) in the delivered unit; NaN at voids.
@@ -67,9 +65,8 @@ class Terrain:
         reach = grow(cell_bounds(tile, quanta(workflow.tiling.tile_m)), pixel)
         bounds = whole_cells(reach, pixel)
         heights = np.full(shape_of(bounds, pixel), NODATA, np.float32)
-        cells = [c for c in cells_touching(bounds, self._edge) if c in self._squares]
-        rasters = self._context.rasters
-        for row, col, block in stored_blocks(rasters, "dtm", bounds, cells, ground_cell=self._edge):
+        cells = [name for name, core in self._cores.items() if overlap(core, bounds)]
+        for row, col, block in stored_blocks(self._context.store, "dtm", cells, bounds):
             heights[row : row + block.shape[0], col : col + block.shape[1]] = block
         corner_m = bounds.xmin * QUANTUM_M, bounds.ymax * QUANTUM_M
         terrain = RasterPart(heights, *corner_m, pixel * QUANTUM_M)

@@ -16,6 +16,7 @@ from spl_batch.airborne.context import Context
 from spl_batch.airborne.products.cell_values import shape_of
 from spl_batch.airborne.products.wide_voids import Void, void_findings, wide_voids
 from spl_batch.airborne.pulses.swaths import Outlined, outlines
+from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.store.flown_lines import read_shifts
 from spl_batch.airborne.store.label_tables import label_files, read_region, units_of
 from spl_batch.airborne.store.raster_cells import stored_blocks
@@ -50,7 +51,7 @@ from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.formats.rasters.parts import BLOCK, centres, opened, place_m, windows
 from spl_batch.formats.verified.parquet_npz import read_arrays, read_columns
 from spl_batch.lattice.tables import COLUMNS, PointTable
-from spl_batch.lattice.tiles import Bounds, cells_of_runs, parse_cell, quanta
+from spl_batch.lattice.tiles import Bounds, parse_cell, quanta
 
 PASS_POINTS = 32_000_000
 """Points of a file whose labels are held in memory at once [count]."""
@@ -61,6 +62,14 @@ _DIAGNOSTICS = ("noise_density", "p_value")
 
 _FOUND_HERE = (HEIGHT, "flags")
 """What no unit has labelled: it follows from a point's place, or lies in its tile."""
+
+
+def written_labels(workflow: Workflow) -> tuple[str, ...]:
+    """Labels of a point that a delivered file is written by."""
+    asked = workflow.outputs
+    names = (*_DELIVERED, *_DIAGNOSTICS * asked.diagnostics)
+    names += (*("set_flags",) * workflow.classes.flags, *(HEIGHT,) * asked.height_above_ground)
+    return (*names, *("flags",) * bool(asked.drop))
 
 
 class _FileLabels:
@@ -147,12 +156,10 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
     """Write one input file again with its labels: every point once, in order."""
     asked = context.workflow.outputs
     diagnostics, heights = asked.diagnostics, asked.height_above_ground
-    flags = context.workflow.classes.flags
     lines = read_shifts(args, context.store)
     shifted = None if lines is None else lines.of_file(args["spans"])
-    names = (*_DELIVERED, *_DIAGNOSTICS * diagnostics, *("set_flags",) * flags)
-    names += (*(HEIGHT,) * heights, *("flags",) * bool(asked.drop))
-    labels, classes = _FileLabels(args, context, names), np.zeros((2, 256), np.int64)
+    labels = _FileLabels(args, context, written_labels(context.workflow))
+    classes = np.zeros((2, 256), np.int64)
     target = context.output / "laz" / args["delivered"]
     source = Path(args["path"])
     stamp = as_indexed("index_file", args, context)
@@ -164,7 +171,7 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
             target,
             labels=labels,
             diagnostics=diagnostics,
-            flags=flags,
+            flags=context.workflow.classes.flags,
             heights=heights,
             crs=context.crs,
             decoded=_decoded(args, context),
@@ -345,13 +352,11 @@ def deliver_geoid(args: Mapping[str, Any], context: Context) -> Produced:
 
 def mosaic(args: Mapping[str, Any], context: Context) -> Produced:
     """Join a product's raster cells into one cloud-optimised GeoTIFF."""
-    cell_m, edge = context.workflow.products.cell_m, quanta(context.workflow.ground.cell_m)
-    bounds = Bounds(*args["bounds"])
+    cell_m, bounds = context.workflow.products.cell_m, Bounds(*args["bounds"])
     shape = shape_of(bounds, quanta(cell_m))
     origin_xy_m = bounds.xmin * QUANTUM_M, bounds.ymax * QUANTUM_M
     target = (context.output if args["delivered"] else context.store.local) / f"{args['name']}.tif"
-    cells = [*cells_of_runs(args["cells"])]
-    stored = partial(stored_blocks, context.rasters, bounds=bounds, cells=cells, ground_cell=edge)
+    stored = partial(stored_blocks, context.store, cells=args["cells"], bounds=bounds)
     write_cog(
         target,
         stored(args["name"]),

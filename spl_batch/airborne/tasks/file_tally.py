@@ -47,8 +47,6 @@ FLOWN_S: Final = 50 * YEAR_S
 BINS_PER_S: Final = 256
 """Bins of a second that points are counted in [1/s]."""
 
-_FAR_BINS: Final = 2.0**60
-
 _NOTHING: Final[Counted] = {
     "counts": np.zeros(len(_COUNTED), np.int64),
     "low": np.full(3, np.iinfo(np.int64).max),
@@ -119,9 +117,8 @@ def _without_lone(table: PointTable, gap_s: float) -> PointTable:
 
 
 def rate_of(time_s: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Bins that hold points, by finite times in order [s], and how many [count]: (m, 2)."""
-    # Times that are none may be anything; they are far from all others, wherever that is.
-    bins = np.clip(np.floor(time_s * BINS_PER_S), -_FAR_BINS, _FAR_BINS).astype(np.int64)
+    """Bins that hold points, by usable times in order [s], and how many [count]: (m, 2)."""
+    bins = np.floor(time_s * BINS_PER_S).astype(np.int64)
     starts = run_starts(bins)
     return np.stack([bins[starts[:-1]], np.diff(starts)], axis=1)
 

@@ -38,11 +38,9 @@ TIME_ORDER: Final = (
 KEPT_COLUMNS: Final = tuple(name for name in SOURCE_COLUMNS if name != "source")
 """Columns of an input in time order; the file's name tells the source."""
 
-RUN_POINTS: Final = 65_536
-"""Points of a row group of a file in time order [count]: a stretch reads two in vain at most."""
-
-MIXED_RUN_POINTS: Final = 16_384
-"""The same where a file is not in time order: a stretch reads two in vain of each chunk."""
+GROUP_POINTS: Final = 16_384
+"""Points of a row group [count]: of a chunk of an input a stretch reads two in vain at most, a halo
+is read from few of a tile, and small tiles share one."""
 
 
 def add_points(writer: GroupWriter, table: PointTable) -> None:
@@ -50,12 +48,9 @@ def add_points(writer: GroupWriter, table: PointTable) -> None:
 
     Row groups are short, and their footers tell their times; points without any come last.
     """
-    time = table["gps_time"]
-    mixed = bool(np.any(time[1:] < time[:-1]))
     table = _in_time_order(table.take(rows_of(~table.has(EXCLUDED))))
-    step = MIXED_RUN_POINTS if mixed else RUN_POINTS
-    for start in range(0, len(table), step):
-        writer.write(table.take(slice(start, start + step)).columns)
+    for start in range(0, len(table), GROUP_POINTS):
+        writer.write(table.take(slice(start, start + GROUP_POINTS)).columns)
 
 
 class Copies(NamedTuple):

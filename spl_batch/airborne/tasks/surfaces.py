@@ -39,13 +39,12 @@ from spl_batch.constants import (
     NOISE_NOT_ASSESSED,
     NOISE_SIGNAL,
 )
-from spl_batch.engine.store.working_store import forget_receipt, read_receipt
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.spare_memory import give_back
 from spl_batch.formats.breaklines import read_breaklines
 from spl_batch.formats.verified.parquet_npz import read_arrays
 from spl_batch.lattice.tables import EXCLUDED, PointTable
-from spl_batch.lattice.tiles import Bounds, CellId, cells_touching, grow, inside, overlap, quanta
+from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
 
 Rasters = dict[str, NDArray[np.float32]]
 
@@ -72,8 +71,8 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     give_back()
     labels, facts, n_points = _classes(cell, arrays, swaths)
     counted |= facts | ({"banks": list(banks)} if banks else {})
-    chunks = _write_rasters(args["cell"], core, arrays, context)
-    return Produced([labels, *chunks], {"core": list(core), **counted}, n_points)
+    rasters = write_cell(context.store, args["cell"], core, arrays)
+    return Produced([labels, *rasters], {"core": list(core), **counted}, n_points)
 
 
 def _columns(cell: Cell) -> list[str]:
@@ -129,18 +128,6 @@ def _flatten(arrays: Rasters, core: Bounds, context: Context) -> Banks | None:
     waters = read_breaklines(context.resolve(context.workflow.breaklines), context.crs)
     rows, columns = arrays["dtm"].shape
     return flatten(arrays, water_heights(waters, core, (rows, columns)))
-
-
-def _write_rasters(name: str, core: Bounds, arrays: Rasters, context: Context) -> list[Path]:
-    """Raster cells of a ground cell; files of their chunks."""
-    edge = quanta(context.workflow.ground.cell_m)
-    for other in map(str, cells_touching(grow(core, edge), edge)):
-        # When the survey was another a cell beside it owned some of its squares, or one of them
-        # was a cell by itself: that receipt must not speak for chunks that are written over.
-        receipt = None if other == name else read_receipt(context.store, "surface", other)
-        if receipt and not receipt.failed and overlap(Bounds(*receipt.facts["core"]), core):
-            forget_receipt(context.store, "surface", other)
-    return write_cell(context.rasters, CellId(core.xmin // edge, core.ymin // edge), arrays)
 
 
 def _mask_outside(arrays: Rasters, aoi: str, core: Bounds, context: Context) -> None:

@@ -26,7 +26,13 @@ from spl_batch.airborne.noise.line_model import LineModel
 from spl_batch.airborne.products.reflectance import fired_beamlets
 from spl_batch.airborne.store.flown_lines import Pass, line_of
 from spl_batch.airborne.store.voxel_parts import write_voxels
-from spl_batch.airborne.tasks.stretches import read_kept, read_stretch, repeats, without_copies
+from spl_batch.airborne.tasks.stretches import (
+    GROUP_POINTS,
+    read_kept,
+    read_stretch,
+    repeats,
+    without_copies,
+)
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.store.working_store import Store
 from spl_batch.engine.tasks.context import Produced
@@ -51,9 +57,6 @@ from spl_batch.lattice.tables import (
     concat,
 )
 from spl_batch.lattice.tiles import cell_index, quanta
-
-GROUP_POINTS = 16_384
-"""Points of a row group [count]: a halo is read from few of a tile, and small tiles share one."""
 
 ALIKE = CANONICAL_ORDER[:-2]
 """Points alike in all of these are copies if they have times, which a later delivery may give

@@ -141,7 +141,6 @@ class Graph:
     def _begin(self, step: Step) -> None:
         """See what a step has left to do, and report it."""
         prepared, progress = self.prepared, self.progress
-        prepared.receiver.before(step, prepared)
         work = Worklist(step, prepared.ledger, prepared.context, self._is_over)
         for receipt in work.look():
             progress.found(step.stage, receipt)

@@ -50,9 +50,6 @@ LOG_WORKERS_S: Final = 10.0
 TRIES: Final = 3
 """Times that a run makes a damaged file again: a disk that fails for good fails each time."""
 
-METADATA: Final = "zarr.json"
-"""File that describes arrays: a run makes it before the tasks that fill them."""
-
 
 @dataclass
 class Progress:
@@ -253,12 +250,11 @@ def plain_name(task: Task, names: Mapping[str, str]) -> str:
     return " ".join(parts)
 
 
-def makers(store: Store, kinds: Iterable[str], damaged: Iterable[str]) -> dict[str, Need | None]:
-    """Damaged files, as receipts call them, with the task that makes each; None for metadata."""
-    names = [*damaged]
-    found: dict[str, Need | None] = {n: None for n in names if n.endswith(f"/{METADATA}")}
+def makers(store: Store, kinds: Iterable[str], damaged: Iterable[str]) -> dict[str, Need]:
+    """Damaged files, as receipts call them, with the task that makes each."""
+    found: dict[str, Need] = {}
     # A chunk is part of an output that is a directory.
-    parts = {part for name in names for part in (name, *map(str, PurePosixPath(name).parents))}
+    parts = {part for name in damaged for part in (name, *map(str, PurePosixPath(name).parents))}
     for kind in kinds if parts else ():
         for receipt in read_receipts(store, kind):
             made = parts & receipt.outputs.keys()
@@ -277,8 +273,7 @@ def forget_makers(
     again = {name: need for name, need in found.items() if known.get(name, 0) < TRIES}
     for name, need in again.items():
         known[name] = known.get(name, 0) + 1
-        if need is not None:
-            forget_receipt(store, *need)
+        forget_receipt(store, *need)
     return [*again]
 
 

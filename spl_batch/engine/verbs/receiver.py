@@ -112,9 +112,6 @@ class Receiver(ABC, Generic[L, C]):
         del prepared
         return FirstLook()
 
-    def before(self, step: Step, prepared: Prepared[L, C]) -> None:
-        """Get ready for the tasks of a step."""
-
     def after(
         self, step: Step, prepared: Prepared[L, C], failed: Sequence[Receipt]
     ) -> Iterable[Finding]:

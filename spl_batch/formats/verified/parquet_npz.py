@@ -208,28 +208,38 @@ class Groups(NamedTuple):
             return read_groups(file, names, self.wanted), np.concatenate([np.arange(0), *row])
 
 
-def groups_between(path: Path, spans: Mapping[str, tuple[float, float]]) -> Groups:
-    """Row groups of a file that may hold values within some spans, from its footer alone.
+class GroupIndex:
+    """Row groups of a file from :func:`writing` by bounds of columns; its footer is read once.
 
-    Parameters
-    ----------
-    path : Path
-        File written by :func:`write_table`.
-    spans : mapping of str to (float, float)
-        Smallest and largest value of interest by column; every column has to meet its own.
-
-    Raises
-    ------
-    DamagedError
-        If the file is missing or damaged.
+    Raises DamagedError if the file is missing or damaged.
     """
-    with naming_damage(path), _open(path) as stream:
-        footer = _read_footer(stream)
-        meets = np.ones(footer.num_row_groups, np.bool_)
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        with naming_damage(path), _open(path) as stream:
+            self._footer = _read_footer(stream)
+        self._bounds: dict[str, NDArray[Any]] = {}
+
+    def between(self, spans: Mapping[str, tuple[float, float]]) -> Groups:
+        """Row groups that may hold values within some spans.
+
+        Parameters
+        ----------
+        spans : mapping of str to (float, float)
+            Smallest and largest value of interest by column; every column has to meet its own.
+        """
+        meets = np.ones(self._footer.num_row_groups, np.bool_)
         for name, (low, high) in spans.items():
-            ranges = np.array(ranges_of(footer, name)).reshape(-1, 2)
-            meets &= (ranges[:, 0] <= high) & (ranges[:, 1] >= low)
-        return Groups(path, footer, np.flatnonzero(meets).tolist())
+            if name not in self._bounds:
+                self._bounds[name] = np.array(ranges_of(self._footer, name)).reshape(-1, 2)
+            first, last = self._bounds[name].T
+            meets &= (first <= high) & (last >= low)
+        return Groups(self._path, self._footer, np.flatnonzero(meets).tolist())
+
+
+def groups_between(path: Path, spans: Mapping[str, tuple[float, float]]) -> Groups:
+    """Row groups of a file that is looked into once; see :class:`GroupIndex`."""
+    return GroupIndex(path).between(spans)
 
 
 def read_with(

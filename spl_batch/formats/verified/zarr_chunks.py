@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 import google_crc32c
 import numpy as np
 from numcodecs.zstd import Zstd
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 from spl_batch.errors import DamagedError
 from spl_batch.formats.files.atomic import json_digest, read_bytes
@@ -36,77 +36,42 @@ Content = dict[str, bytes]
 """Files by their names below an array."""
 
 
-def describe(
-    *,
-    shape: Sequence[int],
-    chunks: Sequence[int],
-    dtype: DTypeLike,
-    fill_value: float,
-    attributes: Mapping[str, Any],
-) -> bytes:
-    """Metadata of a new array, as Zarr's third version has it: what its :data:`METADATA` holds.
+def pack(values: NDArray[Any], *, chunks: Sequence[int], attributes: Mapping[str, Any]) -> Content:
+    """A whole array as files of Zarr's third version, metadata and each of its chunks among them.
+
+    One of nothing but zeros is a chunk too: else who reads cannot tell it from one that is gone.
 
     Parameters
     ----------
-    shape, chunks : sequence of int
-        Of the array and of a chunk.
-    fill_value : float
-        Value of chunks that are not there.
+    values : ndarray
+        The array.
+    chunks : sequence of int
+        Shape of a chunk.
     """
-    kind = np.dtype(dtype)
+    edges = [max(edge, 1) for edge in chunks]
     metadata: Metadata = {
         "zarr_format": 3,
         "node_type": "array",
-        "shape": list(shape),
-        "data_type": kind.name,
-        "chunk_grid": {
-            "name": "regular",
-            "configuration": {"chunk_shape": [max(edge, 1) for edge in chunks]},
-        },
+        "shape": list(values.shape),
+        "data_type": values.dtype.name,
+        "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": edges}},
         "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
         "codecs": [
             {
                 "name": "bytes",
-                **({"configuration": {"endian": "little"}} if kind.itemsize > 1 else {}),
+                **({"configuration": {"endian": "little"}} if values.itemsize > 1 else {}),
             },
             {"name": "zstd", "configuration": {"level": _ZSTD_LEVEL, "checksum": False}},
             {"name": "crc32c"},
         ],
-        "fill_value": np.full((), fill_value, kind).item(),
+        "fill_value": 0,
         "storage_transformers": [],
         "attributes": dict(attributes),
     }
-    metadata["attributes"][_DIGEST] = json_digest(metadata, finite=False)
-    return json.dumps(metadata, indent=1, sort_keys=True).encode()
-
-
-def pack(values: NDArray[Any], *, chunks: Sequence[int], attributes: Mapping[str, Any]) -> Content:
-    """A whole array as files, each of its chunks among them.
-
-    ``values``: ndarray, the array.
-    """
-    content = describe(
-        shape=values.shape, chunks=chunks, dtype=values.dtype, fill_value=0, attributes=attributes
-    )
-    whole = tuple(slice(0, n) for n in values.shape)
-    return {METADATA: content, **encode(json.loads(content), whole, values)}
-
-
-def parse(content: bytes, path: Path) -> Metadata:
-    """Metadata from the bytes of the file ``path``.
-
-    Raises
-    ------
-    DamagedError
-        If they are not what :func:`describe` made.
-    """
-    try:
-        metadata: Metadata = json.loads(content)
-        if metadata["attributes"].pop(_DIGEST) != json_digest(metadata, finite=False):
-            raise DamagedError(path, "it does not fit its hash")
-    except (*_FAULTS, AttributeError) as error:
-        raise DamagedError(path, error) from error
-    return metadata
+    metadata["attributes"][_DIGEST] = json_digest(metadata)
+    whole = [slice(0, n) for n in values.shape]
+    files = {piece.name: _packed(values[piece.of_box], piece) for piece in _pieces(edges, whole)}
+    return {METADATA: json.dumps(metadata, indent=1, sort_keys=True).encode(), **files}
 
 
 def read_metadata(array: Path) -> Metadata:
@@ -115,25 +80,17 @@ def read_metadata(array: Path) -> Metadata:
     Raises
     ------
     DamagedError
-        If it is missing or damaged.
+        If it is missing, or not what :func:`pack` made.
     """
+    path = array / METADATA
     try:
-        content = read_bytes(array / METADATA)
-    except OSError as error:
-        raise DamagedError(array / METADATA, error) from error
-    return parse(content, array / METADATA)
-
-
-def encode(metadata: Metadata, box: Sequence[slice], values: NDArray[Any]) -> Content:
-    """Chunks that hold a box of values, by their names.
-
-    One of nothing but the fill value is a chunk too: else who reads cannot tell it from one that
-    is gone.
-
-    ``box``: where the values lie; whole chunks. ``values``: ndarray, of the box's shape.
-    """
-    fill = metadata["fill_value"]
-    return {p.name: _packed(values[p.of_box], p, fill) for p in _pieces(_edges(metadata), box)}
+        metadata: Metadata = json.loads(read_bytes(path))
+        sound = metadata["attributes"].pop(_DIGEST) == json_digest(metadata)
+    except (*_FAULTS, AttributeError, OSError) as error:
+        raise DamagedError(path, error) from error
+    if not sound:
+        raise DamagedError(path, "it does not fit its hash")
+    return metadata
 
 
 def read_box(array: Path, metadata: Metadata, box: Sequence[slice]) -> NDArray[Any]:
@@ -144,10 +101,8 @@ def read_box(array: Path, metadata: Metadata, box: Sequence[slice]) -> NDArray[A
     DamagedError
         If a chunk is missing or damaged; names the chunk where it can be told.
     """
-    found = np.full(
-        [b.stop - b.start for b in box], metadata["fill_value"], np.dtype(metadata["data_type"])
-    )
-    for piece in _pieces(_edges(metadata), box):
+    found = np.zeros([b.stop - b.start for b in box], np.dtype(metadata["data_type"]))
+    for piece in _pieces(metadata["chunk_grid"]["configuration"]["chunk_shape"], box):
         try:
             content = read_bytes(array / piece.name)
             packed = content[:-_CRC_BYTES]
@@ -180,17 +135,10 @@ def _pieces(edges: Sequence[int], box: Sequence[slice]) -> Iterator[_Piece]:
         yield _Piece("/".join(["c", *map(str, at)]), edges, of_chunk, of_box)
 
 
-def _edges(metadata: Metadata) -> list[int]:
-    edges: list[int] = metadata["chunk_grid"]["configuration"]["chunk_shape"]
-    return edges
-
-
-def _packed(values: NDArray[Any], piece: _Piece, fill: float) -> bytes:
+def _packed(values: NDArray[Any], piece: _Piece) -> bytes:
     """Bytes of a chunk."""
-    chunk = values
-    if values.shape != tuple(piece.shape):
-        chunk = np.full(piece.shape, fill, values.dtype)
-        chunk[piece.of_chunk] = values
+    chunk = np.zeros(piece.shape, values.dtype)
+    chunk[piece.of_chunk] = values
     packed: bytes = _ZSTD.encode(np.ascontiguousarray(chunk, chunk.dtype.newbyteorder("<")))
     return packed + _crc(packed)
 

@@ -55,7 +55,7 @@ def test_cells_own_each_tile_and_read_their_margin(
     units = list(grid.units(counts, EDGE, margin))
     assert [unit.cell for unit in units] == sorted({unit.cell for unit in units})
     squares = {c for t in counts for c in cells_touching(cell_bounds(t, EDGE), edge)}
-    assert squares <= {square for unit in units for square in grid.squares(unit.cell)}
+    assert squares <= {c for unit in units for c in cells_touching(grid.core(unit.cell), edge)}
     assert not any(overlap(a.core, b.core) for a, b in itertools.combinations(units, 2))
     found = {str(unit.cell): unit for unit in units}
     assert sorted(found) == grid.owners(counts, EDGE)

@@ -1,21 +1,16 @@
 """Ground cells: squares of the absolute grid, with the strips at a survey's edge."""
 
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spl_batch.airborne.plan.grid import Grid, strip_q
 from spl_batch.airborne.settings.workflow import parse_workflow
-from spl_batch.airborne.store.raster_cells import create_raster_store, read_window, write_cell
-from spl_batch.airborne.tasks.surfaces import _write_rasters
+from spl_batch.airborne.store.raster_cells import stored_blocks, write_cell
 from spl_batch.constants import NODATA
-from spl_batch.engine.store.working_store import Store, read_receipt, write_receipt
-from spl_batch.engine.tasks.task import Receipt
+from spl_batch.engine.store.working_store import Store
 from spl_batch.lattice.tiles import (
     Bounds,
     CellId,
@@ -23,7 +18,6 @@ from spl_batch.lattice.tiles import (
     cells_touching,
     grow,
     overlap,
-    quanta,
     shared,
 )
 
@@ -48,7 +42,7 @@ def test_every_square_of_a_survey_belongs_to_one_cell(listed: list[Bounds], buff
     cells = Grid.of_boxes(listed, EDGE, buffer)
     squares = list(cells_touching(hull(listed), EDGE))
     keepers = {cells.keeper(square) for square in squares}
-    owned = [square for cell in keepers for square in cells.squares(cell)]
+    owned = [square for cell in keepers for square in cells_touching(cells.core(cell), EDGE)]
     assert sorted(owned) == sorted(squares)
     for square in squares:
         keeper = cells.keeper(square)
@@ -75,56 +69,18 @@ def test_strips_up_to_the_buffer_belong_to_the_next_cell() -> None:
 
 
 def test_rasters_of_several_squares_come_back_in_their_places(tmp_path: Path) -> None:
-    store = tmp_path / "rasters.zarr"
-    create_raster_store(store, ["dtm"], ground_cell=4000, raster_cell=1000)
+    store, core = Store(tmp_path), Bounds(-8000, 20_000, 4000, 28_000)
     values = np.arange(8 * 12, dtype=np.float32).reshape(8, 12)
     values[:4, 8:] = NODATA
-    written = write_cell(store, CellId(-2, 5), {"dtm": values})
-    assert len(written) == 6, "a square that holds nothing is told from one that is gone"
-    bounds = Bounds(-8000, 20_000, 4000, 28_000)
-    np.testing.assert_array_equal(read_window(store, "dtm", bounds), values)
-    write_cell(store, CellId(-1, 5), {"dtm": np.full((4, 4), NODATA, np.float32)})
-    values[4:, 4:8] = NODATA
-    np.testing.assert_array_equal(read_window(store, "dtm", bounds), values)
-
-
-@pytest.mark.parametrize(
-    ("before", "name", "now", "left"),
-    [
-        # the survey lost a strip: the cell beside it takes over what was a cell by itself
-        ({"0_0": (0, 1), "1_0": (1, 2), "2_0": (2, 3)}, "1_0", (0, 2), ["1_0", "2_0"]),
-        # it grew: what belonged to the cell beside it is a cell by itself
-        ({"1_0": (0, 2), "2_0": (2, 3)}, "0_0", (0, 1), ["2_0"]),
-        # as it was
-        ({"0_0": (0, 1), "1_0": (1, 2), "2_0": (2, 3)}, "1_0", (1, 2), ["0_0", "1_0", "2_0"]),
-    ],
-)
-def test_a_receipt_does_not_speak_for_chunks_that_another_cell_writes_over(
-    tmp_path: Path,
-    before: dict[str, tuple[int, int]],
-    name: str,
-    now: tuple[int, int],
-    left: list[str],
-) -> None:
-    survey = {"name": "s", "flightlines": "*.laz", "trajectory": "t.txt"}
-    workflow = parse_workflow({"survey": survey, "output": "o"}, "w")
-    edge, pixel = quanta(workflow.ground.cell_m), quanta(workflow.products.cell_m)
-    store = Store(tmp_path)
-    context: Any = SimpleNamespace(
-        workflow=workflow, store=store, rasters=store.path("rasters.zarr")
-    )
-    create_raster_store(context.rasters, ["dtm"], ground_cell=edge, raster_cell=pixel)
-    for cell, (west, east) in before.items():
-        facts = {"core": [west * edge, 0, east * edge, edge]}
-        write_receipt(store, Receipt("surface", cell, "k", "d", "", {}, facts, 1, 0.0, 0.0))
-    write_receipt(store, Receipt("surface", "1_1", "k", "", "failed", {}, {}, 0, 0.0, 0.0))
-    side, wide = edge // pixel, now[1] - now[0]
-    arrays = {"dtm": np.ones((side, wide * side), np.float32)}
-    core = Bounds(now[0] * edge, 0, now[1] * edge, edge)
-    paths = _write_rasters(name, core, arrays, context)
-    assert [path.is_file() for path in paths] == [True] * wide
-    names = ["0_0", "1_0", "2_0", "1_1"]
-    assert [n for n in names if read_receipt(store, "surface", n)] == [*left, "1_1"]
+    (path,) = write_cell(store, "-2_5", core, {"dtm": values})
+    assert path.is_file()
+    ((row, col, block),) = stored_blocks(store, "dtm", ["-2_5"], core)
+    assert (row, col) == (0, 0)
+    np.testing.assert_array_equal(block, values)
+    # Where the survey was another, a cell beside it owns some of its squares: neither harms either.
+    write_cell(store, "-1_5", Bounds(-4000, 20_000, 0, 24_000), {"dtm": np.zeros((4, 4))})
+    ((*_, again),) = stored_blocks(store, "dtm", ["-2_5"], core)
+    np.testing.assert_array_equal(again, values)
 
 
 def test_strips_are_not_joined_where_squares_hold_many_raster_cells() -> None:

@@ -132,7 +132,8 @@ def labelled(
 def labels_of(
     store: Store, unit: str, tile: CellId, rows: tuple[int, int] = (0, 2**32)
 ) -> dict[str, NDArray[Any]]:
-    return label_files(store)(("ground", unit)).read(tile, ["ground"], rows)
+    span = {"tile_i": (tile.i, tile.i), "tile_j": (tile.j, tile.j), "row": rows}
+    return label_files(store)(("ground", unit)).between(span).read(["row", "ground"])[0]
 
 
 def test_of_a_long_tile_only_the_rows_in_question_are_read(tmp_path: Path) -> None:
@@ -160,8 +161,9 @@ def test_each_footer_is_read_once(tmp_path: Path) -> None:
     for k in (0, 1, 2, 0):
         found = files(("ground", f"u{k}"))
         assert found is files(("ground", f"u{k}"))
-        assert found.tiles == {tile}
-        assert found.read(tile, ["ground"], (0, 0))["ground"].tolist() == [k]
+        here, beside = (found.between({"tile_i": (at, at), "row": (0, 0)}) for at in (0, 1))
+        assert here.read(["ground"])[0]["ground"].tolist() == [k]
+        assert not beside.wanted
 
 
 def test_no_tiles_make_an_empty_region(tmp_path: Path) -> None:

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from spl_batch.airborne.lines.comparison import difference_map
-from spl_batch.airborne.store.raster_cells import create_raster_store, read_window, write_cell
 from spl_batch.airborne.store.voxel_parts import StoredVoxels, write_voxels
 from spl_batch.airborne.tasks.accuracy import compared
 from spl_batch.engine.store.working_store import read_receipts
@@ -28,7 +27,6 @@ from spl_batch.formats.verified.parquet_npz import (
     writing,
 )
 from spl_batch.lattice.tables import VoxelPart
-from spl_batch.lattice.tiles import CellId, cell_bounds
 from tests import surveys
 
 
@@ -70,14 +68,7 @@ def voxels(path: Path) -> Callable[[], Any]:
     return read
 
 
-def cells(path: Path) -> Callable[[], Any]:
-    create_raster_store(path, ["dtm"], ground_cell=4000, raster_cell=1000)
-    values = np.arange(16, dtype=np.float32).reshape(4, 4)
-    write_cell(path, CellId(1, 2), {"dtm": values})
-    return lambda: read_window(path, "dtm", cell_bounds(CellId(1, 2), 4000)).tolist()
-
-
-@pytest.mark.parametrize(("write", "step"), [(parquet, 1), (npz, 1), (voxels, 5), (cells, 5)])
+@pytest.mark.parametrize(("write", "step"), [(parquet, 1), (npz, 1), (voxels, 5)])
 def test_no_bit_changes_unnoticed(tmp_path: Path, write: Callable[[Path], Any], step: int) -> None:
     read = write(tmp_path / "file")
     expected = read()
@@ -135,15 +126,9 @@ def files_of(receipt: Receipt, output: Path) -> list[Path]:
     return list(sorts.values())
 
 
-def everything(path: Path) -> list[Path]:
-    """All files of the raster store that a chunk lies in, what describes its arrays included."""
-    store = next(folder for folder in path.parents if folder.suffix == ".zarr")
-    return [file for file in sorted(store.rglob("*")) if file.is_file()]
-
-
 SORTS = {
     *("index", "trajectory.parquet", "points", "observed", "lines", "scatter", "voxels"),
-    *("fired", "tiles", "denoise", "ground", "surface", "rasters_50000_1000.zarr"),
+    *("fired", "tiles", "denoise", "ground", "surface", "rasters"),
 }
 """Names in the store that tasks read from."""
 
@@ -179,8 +164,7 @@ def test_what_is_damaged_while_a_run_goes_on_is_made_again_in_it(
             sort = path.relative_to(survey.parent / "out" / "store").parts[0]
             if sort in SORTS - harmed and (receipt.points or receipt.kind == "trajectory"):
                 harmed.add(sort)
-                for one in everything(path) if sort.startswith("rasters") else [path]:
-                    harm(one)
+                harm(path)
         return receipt
 
     monkeypatch.setattr(runner, "run_task", harming)
@@ -222,4 +206,4 @@ def test_who_meets_damage_for_the_report_leaves_its_maker_known(
     with pytest.raises(DamagedError) as met:
         look(ledger.done, context)
     again = makers(context.store, ledger.done, [context.store.name_of(met.value.path)])
-    assert [maker[0] for maker in again.values() if maker] == [kind]
+    assert [maker[0] for maker in again.values()] == [kind]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from spl_batch.airborne.store.raster_cells import create_raster_store, write_cell
+from spl_batch.airborne.store.raster_cells import write_cell
 from spl_batch.airborne.store.voxel_parts import write_voxels
 from spl_batch.engine.store.output_lock import locked
 from spl_batch.engine.store.working_store import Store, append_log, write_receipt
@@ -19,7 +19,7 @@ from spl_batch.formats.las.writer import write_classified
 from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.formats.verified.parquet_npz import write_arrays, write_table
 from spl_batch.lattice.tables import PointTable, VoxelPart
-from spl_batch.lattice.tiles import CellId
+from spl_batch.lattice.tiles import Bounds
 from tests import surveys
 
 N = 20_000
@@ -61,7 +61,8 @@ def voxels(folder: Path) -> None:
 
 
 def cell(folder: Path) -> None:
-    write_cell(folder / "r.zarr", CellId(0, 0), {"dtm": NOISE.random((100, 100), np.float32)})
+    core, values = Bounds(0, 0, 100_000, 100_000), NOISE.random((100, 100), np.float32)
+    write_cell(Store(folder), "0_0", core, {"dtm": values})
 
 
 def classified(folder: Path) -> None:
@@ -94,7 +95,6 @@ WRITERS = [parquet, npz, voxels, cell, classified, cog, receipt, log]
 
 @pytest.mark.parametrize("write", WRITERS, ids=lambda f: f.__name__)
 def test_whatever_is_written_stops_the_run(tmp_path: Path, write: Callable[[Path], None]) -> None:
-    create_raster_store(tmp_path / "r.zarr", ["dtm"], ground_cell=100_000, raster_cell=1000)
     surveys.write_cloud(tmp_path / "in.laz", surveys.flightline(shots=60))
     with files_up_to(4000), pytest.raises(StoppedError) as caught:
         write(tmp_path)

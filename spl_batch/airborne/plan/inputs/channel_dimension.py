@@ -13,7 +13,8 @@ POINTS_A_BEAMLET: Final = 20
 """Points of a beamlet, on average, from which on all that work have some [count]."""
 
 BEAMLETS_MIN: Final = 10
-"""With fewer beamlets many a dimension holds as many different numbers by accident [count]."""
+"""With fewer beamlets many a dimension holds as many different numbers by accident [count], and one
+that holds less than this part of more holds something else."""
 
 LIVE_SHARE: Final = 0.95
 """Share of the beamlets that must be seen; a few channels may be dead."""
@@ -22,14 +23,10 @@ UNEVEN: Final = 5.0
 """A beamlet has at most so many times the mean number of returns; intensities are less even."""
 
 
-FEW_CHANNELS: Final = 10
-"""A dimension that holds less than this part of the beamlets' numbers holds something else."""
-
-
 def holds_few(channels: int, points: int, sensor: Sensor) -> bool:
     """Whether a dimension has too few different values to be that of the beamlets."""
-    enough = points >= POINTS_A_BEAMLET * sensor.beamlets and sensor.beamlets > FEW_CHANNELS
-    return enough and FEW_CHANNELS * channels <= sensor.beamlets
+    enough = points >= POINTS_A_BEAMLET * sensor.beamlets and sensor.beamlets > BEAMLETS_MIN
+    return enough and BEAMLETS_MIN * channels <= sensor.beamlets
 
 
 def are_beamlets(numbers: Numbers, sensor: Sensor) -> bool:

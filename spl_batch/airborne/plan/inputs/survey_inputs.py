@@ -3,10 +3,11 @@
 import difflib
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from pyproj import CRS
 
 from spl_batch.airborne.plan.inputs.file_positions import (
@@ -41,14 +42,12 @@ from spl_batch.airborne.plan.inputs.survey_crs import (
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.input_files import (
-    CHECK,
     check_keys,
     expand,
     name_below,
     refuse_own,
     source_key,
 )
-from spl_batch.engine.settings.mistaken_file import url_fault
 from spl_batch.errors import (
     InputError,
     WorkflowError,
@@ -64,11 +63,12 @@ from spl_batch.formats.las.reader import LasFacts
 from spl_batch.formats.named_areas import NamedArea
 from spl_batch.formats.trajectory.records import SBET_SUFFIXES, first_records
 from spl_batch.formats.units import Units
+from spl_batch.lattice.tables import COLUMNS
 
 NO_POINTS = "the file holds no points; name files that hold some, or copy it again"
 """What is wrong with a file where no other has points."""
 
-MAX_POINTS = 2**32 - 1
+MAX_POINTS = int(np.iinfo(COLUMNS["index"].dtype).max)
 """Points that one file may hold [count]."""
 
 
@@ -123,7 +123,8 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     others = shape_files(workflow)
     if workflow.reference and workflow.reference.checkpoints is not None:
         others["reference.checkpoints"] = workflow.reference.checkpoints
-    faults += _missing(others, base)
+    for key, name in others.items():
+        expand(name, base, key, faults)
     refuse_own(paths, output, "survey.flightlines", faults)
     if faults:
         raise WorkflowError("; ".join(faults))
@@ -179,15 +180,6 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         _unusable(trajectory, workflow, crs, good),
         areas,
     )
-
-
-def _missing(named: Mapping[str, str], base: Path) -> Iterator[str]:
-    """A sentence for each file that cannot be there, by its key."""
-    for key, name in named.items():
-        if fault := url_fault(name):
-            yield f"{key}: {name}: {fault}"
-        elif not (base / name).exists():
-            yield f"{key}: {base / name} does not exist; {CHECK}"
 
 
 def _refuse_no_copc(workflow: Workflow, files: Sequence[LasFacts], base: Path) -> None:

@@ -75,12 +75,6 @@ FIRED_MIN: Final = 5
 ALIKE_CELLS: Final = 2.0
 """Neighbouring cells no farther apart in height than this are of one surface [cells]."""
 
-SUPPORT_SHARE: Final = 0.05
-"""First returns that a surface has at least, in shares of the ordinary one."""
-
-NEAR_SURE_M: Final = 15.0
-"""Sideways and upwards, how far a surface in doubt may be from a sure one [m]."""
-
 
 def raster(
     table: PointTable, parts: Sequence[FiredPart], cell: Bounds, settings: ProductSettings
@@ -263,36 +257,24 @@ def first_surface(
     median = np.full(rows * cols, np.nan)
     used = np.flatnonzero(count)
     median[used] = z[order[start[used] + (count[used] - 1) // 2]] * QUANTUM_M
-    credible = credible_heights(median.reshape(shape), count.reshape(shape), settings.cell_m)
+    credible = credible_heights(median.reshape(shape), settings.cell_m)
     height = fill_voids(credible, settings.dsm_void_max_m / settings.cell_m)
     low, high = bounds(height), -bounds(-height)
     return Grid(settings.cell_m, height, slopes(height, settings.cell_m), low, high)
 
 
-def credible_heights(
-    height: NDArray[np.float64], count: NDArray[np.int64], cell_m: float
-) -> NDArray[np.float64]:
-    """Heights of cells without those where noise may be taken for a surface (NaN).
+def credible_heights(height: NDArray[np.float64], cell_m: float) -> NDArray[np.float64]:
+    """Heights of cells (rows, columns) without those where noise may be taken for a surface (NaN).
 
-    A surface goes on in at least two of the eight neighbours. Where few returns support it, it is
-    dark, or few beamlets were fired at it: then it is no farther than :data:`NEAR_SURE_M` above or
-    below the nearest sure one.
+    A surface goes on in at least two of the eight neighbours.
     """
     padded = np.pad(height, 1, constant_values=np.nan)
-    returns = np.pad(count, 1)
     rows, cols = height.shape
-    like, support = np.zeros(height.shape, dtype=np.int64), count.copy()
+    like = np.zeros(height.shape, dtype=np.int64)
     for dr, dc in ring_offsets(1.5)[:, :2]:
         there = slice(1 + dr, 1 + dr + rows), slice(1 + dc, 1 + dc + cols)
-        alike = np.abs(padded[there] - height) <= ALIKE_CELLS * cell_m
-        like += alike
-        support += np.where(alike, returns[there], 0)
-    usual = float(count.sum()) / max(int(np.count_nonzero(count)), 1)
-    goes_on = like >= 2
-    sure = goes_on & (support >= SUPPORT_SHARE * 9 * usual)
-    nearest = fill_voids(np.where(sure, height, np.nan), NEAR_SURE_M / cell_m)
-    beside = np.abs(height - nearest) <= NEAR_SURE_M
-    return np.where(sure | (goes_on & beside), height, np.nan)
+        like += np.abs(padded[there] - height) <= ALIKE_CELLS * cell_m
+    return np.where(like >= 2, height, np.nan)
 
 
 def slopes(height: NDArray[np.float64], cell_m: float) -> NDArray[np.float64]:
