@@ -22,7 +22,7 @@ from typing import Any, Final
 import yaml
 
 from benchmarks.peers import print_ratios
-from spl_batch.airborne.precompile import compile_share
+from spl_batch.airborne.precompile import compile_all
 from spl_batch.engine.watch.status import LOG, seconds
 
 SIDE_M: Final = 800.0
@@ -108,7 +108,7 @@ def main() -> None:
     parser.add_argument("--density", type=float, default=1.0, help="share of the shots")
     parser.add_argument("--memory", default="4GiB", help="of a worker")
     given = parser.parse_args()
-    compile_share(0, 1)  # else the first run would
+    compile_all()  # else the first run would
     workflow = survey(given.folder, scene(given.side_m, given.background, given.density))
     run(workflow, 2, given.memory)
     output, walls, chains = workflow.parent / "out", [], []

@@ -15,7 +15,7 @@ import laspy
 
 from benchmarks import end_to_end
 from spl_batch import api
-from spl_batch.airborne.precompile import compile_share
+from spl_batch.airborne.precompile import compile_all
 
 ALL: Final = ("outputs.copc=true", "outputs.tiles=laz", "outputs.contour_interval=1")
 """Deliveries that are made on request."""
@@ -38,7 +38,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path)
     folder = parser.parse_args().folder
-    compile_share(0, 1)
+    compile_all()
     for name, (of_scene, settings) in SURVEYS.items():
         place = folder / "_".join(map(str, of_scene))
         workflow = end_to_end.survey(place, end_to_end.scene(*of_scene))

@@ -3,8 +3,8 @@
 Run ``python -m benchmarks.airborne.signatures``.
 
 Flies and runs the packaged tiny survey in this process and writes the types of the arguments of
-each kernel that Python called to ``spl_batch/airborne/signatures.json``, from which workers
-compile ahead. With ``--check`` it compares, and ends with status 1 where they differ. ``--flown``
+each kernel that Python called to ``spl_batch/airborne/signatures.json``, from which a run compiles
+ahead. With ``--check`` it compares, and ends with status 1 where they differ. ``--flown``
 names the workflow of a tiny survey that is there already.
 """
 
@@ -24,6 +24,11 @@ from spl_batch import api
 from spl_batch.airborne import precompile
 from spl_batch.airborne.report import summarise
 from spl_batch.airborne.simulate import preset_scene, simulate
+from spl_batch.airborne.steps import STEPS
+from spl_batch.engine.watch.events import Event, TaskStarted
+
+Listed = dict[str, dict[str, list[list[Any]]]]
+"""Types of arguments by step and kernel."""
 
 
 def main() -> int:
@@ -37,15 +42,16 @@ def main() -> int:
         found = called(flown)
     if given.check:
         known = precompile.signatures()
-        for name in sorted({*found, *known}):
-            if found.get(name) != known.get(name):
-                print(f"{name}: called with {found.get(name)}, listed with {known.get(name)}")
+        for step in {**found, **known}:
+            mine, theirs = found.get(step, {}), known.get(step, {})
+            for name in sorted({*mine, *theirs}):
+                if mine.get(name) != theirs.get(name):
+                    print(f"{step}: {name}: called with {mine.get(name)}, "
+                          f"listed with {theirs.get(name)}")  # fmt: skip
         return int(found != known)
     target = Path(str(files("spl_batch.airborne") / "signatures.json"))
-    texts = {name: ",\n  ".join(map(json.dumps, listed)) for name, listed in found.items()}
-    listed = (f' "{name}": [\n  {text}\n ]' for name, text in texts.items())
-    target.write_text("{\n" + ",\n".join(listed) + "\n}\n", encoding="utf-8")
-    print(f"{target}: {len(found)} kernels")
+    target.write_text(laid_out(found), encoding="utf-8")
+    print(f"{target}: {sum(map(len, found.values()))} kernels")
     return 0
 
 
@@ -59,10 +65,18 @@ def written(one: types.Type) -> Any:
     return str(one)
 
 
-def called(workflow: Path) -> dict[str, list[list[Any]]]:
-    """Types of the arguments of each kernel that a run calls from Python, by its name."""
-    found: dict[str, set[str]] = {}
+def called(workflow: Path) -> Listed:
+    """Types of the arguments of each kernel that a run calls from Python, by step and name.
+
+    A kernel is listed under the step that is the first to call it with these types.
+    """
+    found: dict[str, dict[str, set[str]]] = {name: {} for name in STEPS}
+    known, at = set[tuple[str, str]](), [""]
     first_call = Dispatcher._compile_for_args  # type: ignore[attr-defined]  # noqa: SLF001
+
+    def begun(event: Event) -> None:
+        if isinstance(event, TaskStarted):
+            at[0] = event.kind
 
     def heard(kernel: Any, *args: Any, **named: Any) -> Any:
         result = first_call(kernel, *args, **named)
@@ -72,16 +86,32 @@ def called(workflow: Path) -> dict[str, list[list[Any]]]:
             module.startswith("spl_batch.")
         ):
             name = f"{module}:{kernel.py_func.__name__}"
-            passed = [written(kernel.typeof_pyval(arg)) for arg in args]
-            found.setdefault(name, set()).add(json.dumps(passed))
+            passed = json.dumps([written(kernel.typeof_pyval(arg)) for arg in args])
+            if (name, passed) not in known:
+                found[at[0]].setdefault(name, set()).add(passed)
+            known.add((name, passed))
         return result
 
     with (
         mock.patch.object(Dispatcher, "_compile_for_args", heard),
         mock.patch.object(summarise, "make_pictures", return_value={}),  # they call none
     ):
-        api.run(workflow, workers=0)
-    return {name: [json.loads(one) for one in sorted(found[name])] for name in sorted(found)}
+        api.run(workflow, workers=0, listener=begun)
+    return {
+        step: {name: [json.loads(one) for one in sorted(of[name])] for name in sorted(of)}
+        for step, of in found.items()
+        if of
+    }
+
+
+def laid_out(found: Listed) -> str:
+    """JSON with a line for each signature."""
+    steps = []
+    for step, kernels in found.items():
+        texts = {name: ",\n   ".join(map(json.dumps, listed)) for name, listed in kernels.items()}
+        of_step = (f'  "{name}": [\n   {text}\n  ]' for name, text in texts.items())
+        steps.append(f' "{step}": {{\n' + ",\n".join(of_step) + "\n }")
+    return "{\n" + ",\n".join(steps) + "\n}\n"
 
 
 if __name__ == "__main__":

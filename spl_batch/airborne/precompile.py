@@ -1,155 +1,143 @@
-"""Compile kernels before they are needed, a share on each worker.
+"""Compile kernels before they are needed, a share in each of some processes.
 
 numba compiles a kernel when it is first called, and keeps the code on disk. In the first run on
 a machine all workers would compile the same at the same time, each of them everything. A process
-that has compiled keeps some 250 MiB of what the compiler needed; so a worker has a process of
-its own compile, and loads the code.
-``signatures.json`` lists the kernels that the airborne chain calls, with the types of their
-arguments; ``python -m benchmarks.airborne.signatures`` writes it.
+that has compiled keeps some 250 MiB of what the compiler needed; so processes of their own
+compile, and workers load the code.
+``signatures.json`` lists the kernels that the airborne chain calls, by the step that is the first
+to call them, with the types of their arguments; ``python -m benchmarks.airborne.signatures``
+writes it.
 """
 
-import contextlib
 import gc
 import importlib
 import json
 import os
-import subprocess
+import platform
 import sys
-import tempfile
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache, partial
 from importlib.resources import files
+from itertools import chain
 from typing import Any, Final
 
 from numba import types
 from numba.core.dispatcher import Dispatcher
 
-from spl_batch.errors import StoppedError
-from spl_batch.numerics.compiled import is_kept
+from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.airborne.steps import STEPS
+from spl_batch.engine.flow.warm_up import WarmUp
+from spl_batch.engine.tasks.runner import code_version
+from spl_batch.engine.tasks.step import stages
+from spl_batch.formats.files.atomic import json_digest
+from spl_batch.numerics.compiled import folder_of
+from spl_batch.receivers import IMAGING
 
-WATCHED: Final = "watched"
-"""Argument of the process that compiles: it ends when its standard input does."""
+COMPILING: Final = (
+    "getting the kernels ready; the first run on a machine compiles them, which usually takes half "
+    "a minute, and later runs load them in seconds"
+)
+"""Note where a run compiles."""
+
+OF_DETECTIONS: Final = "products.reflectance"
+"""Room of the kernels that only an intensity raster of detections needs."""
+
+Listed = Mapping[str, Sequence[str]]
+"""Names of kernels by step."""
 
 
-def signatures() -> dict[str, list[list[Any]]]:
-    """Types of the arguments of each kernel, by module and name, as :func:`parse` takes them."""
+@cache
+def signatures() -> dict[str, dict[str, list[list[Any]]]]:
+    """Types of the arguments of each kernel, by step and name, as :func:`parse` takes them."""
     text = (files("spl_batch.airborne") / "signatures.json").read_text(encoding="utf-8")
-    found: dict[str, list[list[Any]]] = json.loads(text)
+    found: dict[str, dict[str, list[list[Any]]]] = json.loads(text)
     return found
 
 
-Tell = Callable[[int, int], None]
-"""Told how many kernels of how many are compiled."""
+def listed(workflow: Workflow | None = None, until: str | None = None) -> Listed:
+    """Kernels that a workflow calls up to a stage, by step; all of them without."""
+    order = stages(IMAGING)
+    wanted = order[: order.index(until) + 1] if until else order
+    detections = workflow is None or workflow.products.intensity == "detection"
+    return {
+        step: [name for name in names if detections or OF_DETECTIONS not in name]
+        for step, names in signatures().items()
+        if STEPS[step].stage in wanted
+    }
 
 
-def _tell_nobody(_done: int, _of: int) -> None:
-    """Listen to no progress."""
+def compiling(processes: int, workflow: Workflow | None = None, until: str | None = None) -> WarmUp:
+    """Processes that compile the kernels of :func:`listed`; those that do so already, if any."""
+    found = _compiling(json.dumps(listed(workflow, until)))
+    found.processes = min(processes, os.cpu_count() or 1)
+    return found
 
 
-def compile_share(share: int, shares: int, tell: Tell = _tell_nobody) -> int:
-    """Have some of the kernels compiled by a process that ends, and load them.
-
-    Parameters
-    ----------
-    share, shares : int
-        Which part of all, from 0, and of how many.
-    tell : callable
-        Told how many kernels of this share are compiled, those that they call among them, and how
-        many it has [count].
-
-    Returns
-    -------
-    int
-        Kernels that were compiled [count].
-
-    Raises
-    ------
-    StoppedError
-        That process has failed; its last line says why.
-    """
-    listed = signatures()
-    names = divided(listed, shares)[share]
-    ready = all(
-        is_kept(find(name), parse(stored, find(name))) for name in names for stored in listed[name]
-    )
-    compiled = 0 if ready else _elsewhere(share, shares, tell)
-    return compiled + _compile(share, shares, _tell_nobody)
+@cache
+def _compiling(names: str) -> WarmUp:
+    # numba's code is for one kind of processor; machines that share a disk may have several.
+    what = [code_version(IMAGING), platform.node(), names]
+    mark = folder_of(find) / f"{json_digest(what)}.compiled"
+    return WarmUp(partial(_command, names), [*json.loads(names)], COMPILING, mark, 1)
 
 
-def _command(share: int, shares: int) -> tuple[str, ...]:
-    """Command of the process that compiles: it finds the same files of this project as this one.
+def compile_all(processes: int = 1) -> int:
+    """Compile every kernel in some processes, and wait; kernels that were compiled [count]."""
+    every = compiling(processes)
+    every.begin()
+    every.finish()
+    return every.made
+
+
+def _command(names: str, share: int, shares: int) -> tuple[str, ...]:
+    """Command of a process that compiles: it finds the same files of this project as this one.
 
     ``python -m`` would take those of the folder that it is called in, such as a clone.
     """
     begin = f"import runpy, sys; sys.path[:] = {sys.path!r}; "
     begin += f"runpy.run_module({__name__!r}, run_name='__main__', alter_sys=True)"
-    return sys.executable, "-c", begin, str(share), str(shares), WATCHED
+    return sys.executable, "-c", begin, str(share), str(shares), names
 
 
-def _elsewhere(share: int, shares: int, tell: Tell) -> int:
-    """Compile in another process; kernels that were compiled [count]."""
-    command = _command(share, shares)
-    last = "0"
-    with tempfile.TemporaryFile("w+") as errors:
-        with subprocess.Popen(  # noqa: S603 - this project's own module
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, text=True
-        ) as child:
-            for line in child.stdout or ():
-                *steps, last = line.split()
-                if steps:
-                    tell(int(steps[0]), int(last))
-        if child.returncode:
-            errors.seek(0)
-            said = errors.read().strip().splitlines() or [f"exit status {child.returncode}"]
-            raise StoppedError(f"kernels were not compiled ahead: {said[-1]}")
-    return int(last)
+def compile_share(share: int, shares: int, names: Listed) -> None:
+    """Compile some of the kernels, or load what is compiled, and write how far that is.
+
+    A line has the kernels of this share that are ready, those that they call among them; how many
+    it has; how many were compiled and not loaded [count]; and the number of the step.
+    """
+    mine = divided(names, shares)[share]
+    needed = {name: set(_called(find(name))) for name in {*chain.from_iterable(mine.values())}}
+    whole, ready, compiled = len(set().union(*needed.values())), set[str](), 0
+    for number, step in enumerate(mine):
+        # Those that call few others first: each part is short then, and what is told moves evenly.
+        for name in reversed(mine[step]):
+            _say(len(ready), whole, compiled, number)
+            ready |= needed[name]
+            kernel = find(name)
+            for stored in signatures()[step][name]:
+                before = sum(kernel.stats.cache_misses.values())
+                kernel.compile(parse(stored, kernel))
+                compiled += sum(kernel.stats.cache_misses.values()) - before
+    _say(whole, whole, compiled, len(mine))
 
 
-@contextlib.contextmanager
-def compiling_beside() -> Iterator["subprocess.Popen[bytes] | None"]:
-    """Compile in another process as long as a block lasts, where a second processor is idle."""
-    if (os.cpu_count() or 1) < 2:
-        yield None
-        return
-    with subprocess.Popen(  # noqa: S603 - this project's own module
-        _command(0, 1), stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    ) as child:
-        try:
-            yield child
-        finally:
-            child.kill()  # code is kept whole or not at all
+def _say(*numbers: int) -> None:
+    sys.stdout.write(" ".join(map(str, numbers)) + "\n")
+    sys.stdout.flush()
 
 
-def _compile(share: int, shares: int, tell: Tell) -> int:
-    """Compile here, or load what is compiled; kernels that were compiled and not loaded [count]."""
-    compiled, listed = 0, signatures()
-    # Those that call few others first: each step is short then, and what is told moves evenly.
-    names = divided(listed, shares)[share][::-1]
-    needed = [set(_called(find(name))) for name in names]
-    ready: set[str] = set()
-    whole = len(ready.union(*needed))
-    for name, kernels in zip(names, needed, strict=True):
-        tell(len(ready), whole)
-        ready |= kernels
-        kernel = find(name)
-        for stored in listed[name]:
-            before = sum(kernel.stats.cache_misses.values())
-            kernel.compile(parse(stored, kernel))
-            compiled += sum(kernel.stats.cache_misses.values()) - before
-    tell(whole, whole)
-    return compiled
-
-
-def divided(names: Mapping[str, Any], shares: int) -> list[list[str]]:
-    """Kernels in shares of about equal cost; those that call the same ones are kept together."""
-    called = {name: frozenset(_called(find(name))) for name in names}
+def divided(names: Listed, shares: int) -> list[dict[str, list[str]]]:
+    """Shares of about equal cost up to each step; kernels that call the same are kept together."""
     loads: list[set[str]] = [set() for _ in range(shares)]
-    found: list[list[str]] = [[] for _ in range(shares)]
-    for name in sorted(called, key=lambda name: (-len(called[name]), name)):
-        added = [len(called[name] - load) for load in loads]
-        best = min(range(shares), key=lambda k: len(loads[k]) + 2 * added[k])
-        loads[best] |= called[name]
-        found[best].append(name)
+    found: list[dict[str, list[str]]] = [{step: [] for step in names} for _ in range(shares)]
+    for step, of_step in names.items():
+        called = {name: frozenset(_called(find(name))) for name in of_step}
+        for name in sorted(called, key=lambda name: (-len(called[name]), name)):
+            added = [len(called[name] - load) for load in loads]
+            best = min(range(shares), key=lambda k: len(loads[k]) + 2 * added[k])
+            loads[best] |= called[name]
+            found[best][step].append(name)
     return found
 
 
@@ -210,12 +198,5 @@ if __name__ == "__main__":
     # through them again and again.
     gc.freeze()
     gc.set_threshold(100_000, 50, 100)
-    mine, of_all = map(int, sys.argv[1:3])
-    if sys.argv[3:] == [WATCHED]:
-        threading.Thread(target=_end_with_parent, daemon=True).start()
-
-    def _say(done: int, of: int) -> None:
-        sys.stdout.write(f"{done} {of}\n")
-        sys.stdout.flush()
-
-    sys.stdout.write(f"{_compile(mine, of_all, _say)}\n")
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    compile_share(int(sys.argv[1]), int(sys.argv[2]), json.loads(sys.argv[3]))

@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Final
 
 from spl_batch.airborne.plan.task_memory import task_bytes
-from spl_batch.airborne.precompile import compiling_beside
+from spl_batch.airborne.precompile import compiling
 from spl_batch.engine.plan.budget import Cost, refuse_too_large
 from spl_batch.engine.verbs.planning import limit_bytes
 from spl_batch.engine.verbs.running import RunResult, run
 from spl_batch.engine.verbs.simulation import simulate
-from spl_batch.engine.watch.events import Compiling, Event, Listener, ignore
+from spl_batch.engine.watch.events import Listener, ignore
 
 _POINTS: Final = 1_789_819
 """Points of the survey [count]; they lie in one ground cell, the heaviest task."""
@@ -64,13 +64,7 @@ def quickstart(
         return run(workflow, workers=workers, memory=memory, listener=listener)
     preset = resources.files("spl_batch.airborne").joinpath("simulate/presets/quickstart.yaml")
     # The simulation takes one processor, and workers start for seconds.
-    with compiling_beside() as beside:
-
-        def heard(event: Event) -> None:
-            if beside is not None and isinstance(event, Compiling):
-                beside.kill()  # the workers go on with what it has not compiled
-            listener(event)
-
+    with compiling(max(workers, 1)).beside():
         with resources.as_file(preset) as scene:
             simulate(scene, folder, progress=progress)
-        return run(workflow, workers=workers, memory=memory, listener=heard)
+        return run(workflow, workers=workers, memory=memory, listener=listener)

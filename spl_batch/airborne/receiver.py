@@ -35,14 +35,14 @@ from spl_batch.airborne.plan.inputs.survey_inputs import Inputs, gather_inputs
 from spl_batch.airborne.plan.space_tasks import is_one_flightline
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import surface_reach_m
-from spl_batch.airborne.precompile import compile_share
+from spl_batch.airborne.precompile import compiling
 from spl_batch.airborne.products.product_table import ABOVE_GEOID, PRODUCTS
 from spl_batch.airborne.report.model import Report
 from spl_batch.airborne.report.verdicts import screen_summary
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.findings import Finding
-from spl_batch.engine.flow.warm_up import Work
+from spl_batch.engine.flow.warm_up import WarmUp
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.step import Step
 from spl_batch.engine.tasks.task import Receipt
@@ -65,10 +65,9 @@ class Imaging(Receiver[Survey, Context]):
         *(f"{p.name}.tif" for p in (*PRODUCTS, *ABOVE_GEOID) if p.delivered),
     )
 
-    @property
-    def compiles(self) -> Work:
-        """Compiles a share of the kernels."""
-        return compile_share
+    def warm_up(self, workflow: Workflow, until: str | None, workers: int) -> WarmUp:
+        """What compiles the kernels that tasks call up to a stage."""
+        return compiling(workers, workflow, until)
 
     def gather(self, workflow: Workflow, base: Path, output: Path) -> Inputs:
         """Find and check every file of a workflow, from headers alone."""

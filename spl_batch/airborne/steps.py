@@ -86,7 +86,7 @@ STEPS: Final[Steps] = table(
     _shots("fit_line", settings=_TIME, unit="flightline"),
     _scatter(
         "scatter",
-        settings=(*_TIME, "tiling.tile_m", "aoi", "water"),
+        settings=(*_TIME, "tiling.tile_m", "aoi", "water", "products.intensity"),
         unit="stretch",
         bytes_per_point=540,
     ),

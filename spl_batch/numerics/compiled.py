@@ -27,7 +27,7 @@ is called from Python as well is compiled twice.
 
 import contextlib
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache, partial
 from itertools import count
 from pathlib import Path
@@ -153,14 +153,9 @@ class KeptCode(caching.IndexDataCacheFile):
         return found
 
 
-def is_kept(kernel: Any, types: Iterable[Any]) -> bool:
-    """Whether a kernel's code for some types lies on disk, for this processor and this version.
-
-    ``kernel``: of :func:`njit`. ``types``: those of its arguments, as numba names them.
-    """
-    known = kernel._cache  # noqa: SLF001 - there is no other way
-    key = known._index_key(tuple(types), kernel.targetctx.codegen())  # noqa: SLF001
-    return key in known._cache_file._load_index()  # noqa: SLF001
+def folder_of(function: Callable[..., Any]) -> Path:
+    """Folder in which compiled code of a function would be kept; it is made if it is not there."""
+    return Path(caching.FunctionCache(function)._impl.locator.get_cache_path())  # noqa: SLF001
 
 
 @cache

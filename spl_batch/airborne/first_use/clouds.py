@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from spl_batch.airborne.plan.inputs.channel_dimension import holds_few, numbered_dimension
-from spl_batch.airborne.sensors.sensor import Sensor
+from spl_batch.airborne.sensors.sensor import Sensor, load_preset
 from spl_batch.errors import grouped
 from spl_batch.formats.crs import look_like_degrees
 from spl_batch.formats.gps_clock import usable_times
@@ -57,10 +57,30 @@ class CloudLook:
         return bool(len(time)) and bool(np.any(time != time[0]))
 
 
+class Guesses(NamedTuple):
+    """What clouds show together."""
+
+    timed: bool  #: Whether times separate shots, in any of them.
+    channel: Guess  #: Which dimension holds the beamlet numbers.
+    crs: Guess
+    linear: str  #: What speaks for linear-mode lidar; empty if nothing does.
+
+
 def look_at(path: Path) -> CloudLook:
     """Look at a file, which takes a tenth of a second whatever its size."""
     facts = inspect(path)
     return CloudLook(facts.in_metres(Units.of(facts.crs)), read_ends(path, None, SAMPLE_POINTS))
+
+
+def guesses(looks: Sequence[CloudLook], sensor: str | None = None) -> Guesses:
+    """All that is guessed of clouds; ``sensor``: preset of the instrument, if somebody knows it."""
+    instrument = load_preset(sensor or SENSOR)
+    timed, channel = any(look.timed for look in looks), channel_guess(looks, instrument)
+    unknown = sensor is None and timed and channel.value is None
+    linear = linear_mode_signs(looks) if unknown else ""
+    return Guesses(
+        timed, channel, crs_guess(looks), linear if instrument.photons else instrument.name
+    )
 
 
 def channel_guess(looks: Sequence[CloudLook], sensor: Sensor) -> Guess:

@@ -9,8 +9,7 @@ from spl_batch.airborne.first_use.clouds import (
     SENSOR,
     CloudLook,
     channel_guess,
-    crs_guess,
-    linear_mode_signs,
+    guesses,
     look_at,
 )
 from spl_batch.airborne.plan.inputs.survey_inputs import NO_POINTS
@@ -162,13 +161,10 @@ def _draft(folder: _Folder) -> Beginning:
     points = sum(look.facts.n_points for look in folder.lines)
     many = f"{counted(len(folder.lines), 'files')}, {grouped(points)} points"
     made.known("flightlines", patterns(folder.path, _paths(folder.lines)), many)
-    timed = any(look.timed for look in folder.lines)
-    channel = channel_guess(folder.lines, load_preset(SENSOR))
-    linear = "" if channel.value is not None else linear_mode_signs(folder.lines)
+    timed, channel, crs, linear = guesses(folder.lines)
     shots = timed and not linear  # else nothing looks at trajectory, sensor and beamlets
     if folder.trajectories or shots or not timed:
         _trajectory(made, folder, timed=timed)
-    crs = crs_guess(folder.lines)
     if crs.value is None:
         made.open("crs", "EPSG:32615", crs.reason)
     else:

@@ -16,13 +16,13 @@ import yaml
 from spl_batch.airborne.first_use.clouds import (
     SENSOR,
     CloudLook,
-    channel_guess,
-    crs_guess,
-    linear_mode_signs,
+    Guesses,
+    guesses,
     look_at,
 )
 from spl_batch.airborne.plan.inputs.survey_inputs import NO_POINTS
-from spl_batch.airborne.sensors.sensor import load_preset
+from spl_batch.airborne.plan.task_memory import STRETCH_POINTS
+from spl_batch.airborne.precompile import compiling
 from spl_batch.airborne.settings.workflow import Workflow, load_workflow
 from spl_batch.engine.plan.input_files import matching
 from spl_batch.engine.report.number_format import as_ascii, of_all
@@ -47,6 +47,7 @@ _IN_OTHER_FILES: Final = (
 """Settings of ``outputs`` whose results are files that only a run leaves."""
 
 _WORKFLOW: Final = "workflow.yaml"
+_LAST: Final = "deliver"
 _MOVED: Final = "moved.json"
 """Record of the results that were moved out of the folder: size and time of writing."""
 
@@ -81,7 +82,7 @@ def denoise(
         Whether points of the ground get class 2, and the others the class that a run gives them;
         otherwise signal keeps the class that it has.
     workers : int
-        Worker processes; 0 works in this process.
+        Worker processes, at most: a small file has one; 0 works in this process.
     memory : str or int, optional
         Memory limit of a worker [byte]; a share of the machine's unless told.
     overrides : sequence of str
@@ -110,32 +111,34 @@ def denoise(
     _refuse(Path(source), results, _moved(folder), force=force)
     look = look_at(Path(source))
     kept = KEEP_ALL in {override.replace(" ", "") for override in overrides}
-    linear = _linear_mode(look, sensor)
-    if linear and not kept:
-        raise WorkflowError(_as_linear_mode(Path(source), cloud, linear))
-    guesses, content = _proposal(look, trajectory, sensor, ground=ground, kept=kept)
-    if kept and (linear or not look.timed):
+    seen = guesses([look], sensor)
+    if seen.linear and not kept:
+        raise WorkflowError(_as_linear_mode(Path(source), cloud, seen.linear))
+    reasons, content = _proposal(look, seen, trajectory, sensor, ground=ground, kept=kept)
+    if kept and (seen.linear or not look.timed):
         content["afterpulse"] = {"enabled": False}
-        guesses["afterpulse"] = "every point stays: no afterpulses are looked for either"
+        reasons["afterpulse"] = "every point stays: no afterpulses are looked for either"
     stated = {override.partition("=")[0].strip() for override in overrides}
-    guessed = [f"guessed: {text}" for key, text in guesses.items() if key not in stated]
+    guessed = [f"guessed: {text}" for key, text in reasons.items() if key not in stated]
     new = [place for place in {path.parent for path, _ in results} if not place.exists()]
     for place in new:
         if not place.parent.exists():
             raise WorkflowError(f"{place}: there is no folder {place.parent}; check the path")
     with _leaving_nothing(folder):
         write_bytes(folder / _WORKFLOW, yaml.safe_dump(content, sort_keys=False).encode())
-        _refuse_other_files(load_workflow(folder / _WORKFLOW, overrides))
+        workflow = load_workflow(folder / _WORKFLOW, overrides)
+        _refuse_other_files(workflow)
         for text in (*(f"creates folder {place}" for place in new), *guessed):
             listener(Note("info", text))
-        found = run(
-            folder / _WORKFLOW,
-            workers=workers,
-            memory=memory,
-            until="deliver",
-            overrides=overrides,
-            listener=listener,
-        )
+        with compiling(workers, workflow, _LAST).beside():  # a first call waits for nothing as long
+            found = run(
+                folder / _WORKFLOW,
+                workers=min(workers, -(-look.facts.n_points // STRETCH_POINTS)),
+                memory=memory,
+                until=_LAST,
+                overrides=overrides,
+                listener=listener,
+            )
     store = Store(found.output)
     delivered = [r for r in read_receipts(store, "deliver_file") if not r.failed]
     if not delivered:
@@ -224,16 +227,6 @@ def _stamp(path: Path) -> list[int]:
     return [stat.st_size, stat.st_mtime_ns]
 
 
-def _linear_mode(look: CloudLook, sensor: str | None) -> str:
-    """What speaks for linear-mode lidar; empty if nothing does, or single photons were counted."""
-    if sensor is not None:
-        named = load_preset(sensor)
-        return "" if named.photons else named.name
-    if not look.timed or channel_guess([look], load_preset(SENSOR)).value is not None:
-        return ""
-    return linear_mode_signs([look])
-
-
 def _as_linear_mode(source: Path, cloud: Path, signs: str) -> str:
     """Why a file is refused that looks like linear-mode lidar, and the command that takes it."""
     command = shlex.join(
@@ -249,6 +242,7 @@ def _as_linear_mode(source: Path, cloud: Path, signs: str) -> str:
 
 def _proposal(
     look: CloudLook,
+    seen: Guesses,
     trajectory: Path | str | None,
     sensor: str | None,
     *,
@@ -270,8 +264,7 @@ def _proposal(
             "measures noise where the cloud is empty; of linear-mode lidar, which has none, "
             f"`--ground --set {KEEP_ALL}` keeps every point and finds the ground",
         )
-    instrument = sensor or SENSOR
-    channel = channel_guess([look], load_preset(instrument))
+    channel = seen.channel
     survey: dict[str, Any] = {
         "name": path.stem,
         "flightlines": str(real_path(path)),
@@ -286,17 +279,19 @@ def _proposal(
         survey["trajectory"] = str(real_path(trajectory))
     outputs = {"classes": "all" if ground else "noise", "catalogue": False}
     dimension = f"{channel.value} " if channel.value else ""
-    guesses = {
+    reasons = {
         "survey.channel_dimension": f"beamlet numbers: {dimension}{channel.reason}",
-        "survey.crs": f"CRS: {crs_guess([look]).reason}",
+        "survey.crs": f"CRS: {seen.crs.reason}",
     }
     if sensor is None:
-        guesses["survey.sensor"] = f"sensor: {instrument}; --sensor names another one"
+        reasons["survey.sensor"] = f"sensor: {SENSOR}; --sensor names another one"
     if trajectory is None:
-        guesses["survey.trajectory"] = (
+        reasons["survey.trajectory"] = (
             "beams: from where lines of sight meet, or vertical; --trajectory gives them"
         )
-    return guesses, {"survey": survey, "outputs": outputs, "output": "out"}
+    # No raster but the terrain is delivered, so none is made of detections.
+    rest = {"products": {"intensity": "las"}, "outputs": outputs, "output": "out"}
+    return reasons, {"survey": survey, **rest}
 
 
 def _moves(

@@ -335,8 +335,9 @@ def _write_fired(
     context: Context,
     facts: dict[str, Any],
 ) -> list[Path]:
-    """Write where the beamlets pointed, if the sensor's positions and the channels tell."""
-    if args["basis"] not in _POSITIONED or args["beamlets"] < 2:
+    """Write where the beamlets pointed, if it is asked for, and positions and channels tell."""
+    asked = context.workflow.products.intensity == "detection"
+    if not asked or args["basis"] not in _POSITIONED or args["beamlets"] < 2:
         return []
     clock = ShotClock(args["t0_s"], args["prf_hz"])
     sensor = _beamlets(args, context).seen

@@ -100,7 +100,7 @@ def executor(
 
     Then it raises WorkflowError if the workers cannot do the work: each has to find the code and
     the mark of ``context``, and a task may need ``memory_bytes``; StoppedError if the scheduler
-    cannot be reached. Local workers do the ``warm_up`` before their first task.
+    cannot be reached. Tasks wait for what a ``warm_up`` gets ready for their step.
     """
     if scheduler is None and workers == 0:
         yield InProcess(context, observer)

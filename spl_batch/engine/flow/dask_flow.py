@@ -88,13 +88,13 @@ class OnDask:
     def _begin(self) -> None:
         from distributed import as_completed  # noqa: PLC0415 - slow import, only when used
 
+        if self._warm_up is not None:
+            self._warm_up.begin(self.observer.tell)  # workers start for seconds
         self.client = self._connect()
         self._topic = f"spl_batch-{self.client.id}"
         self._ended = as_completed(with_results=True, raise_errors=False, loop=self.client.loop)
         self.client.subscribe_topic(self._topic, self._began)
         self.client.subscribe_topic(_MEMORY_TOPIC, self._restarted)
-        if self.local and self._warm_up is not None:
-            self._warm_up.share_out(self.client, sorted(workers_of(self.client)), self.observer)
         self._watch.start()
 
     @property
@@ -117,6 +117,8 @@ class OnDask:
         if self.client is None:
             self._begin()
         step, name = jobs[0].need
+        if self._warm_up is not None:
+            self._warm_up.wait_for(step)
         needed = {self._keys[need]: None for job in jobs for need in job.open if need in self._keys}
         try:
             # What a task needs is in its key, and of a whole survey it is a long list.
@@ -153,6 +155,8 @@ class OnDask:
 
     def close(self) -> None:
         """Let go of jobs that are still on their way."""
+        if self._warm_up is not None:
+            self._warm_up.end()
         self._watch.over.set()
         self.give_up()
         self._trials.clear()

@@ -1,6 +1,7 @@
 """A job, done here or on a worker, and what those who do and watch it agree on."""
 
 import contextlib
+import threading
 import time
 from collections import deque
 from collections.abc import Sequence
@@ -18,6 +19,7 @@ from spl_batch.engine.tasks.task import Job, Outcome, Task
 from spl_batch.engine.watch.events import Event
 from spl_batch.errors import StoppedError
 from spl_batch.formats.files.atomic import owned_by
+from spl_batch.receivers import steps
 
 
 class Observer(Protocol):
@@ -77,6 +79,7 @@ def work(
     if fault:
         raise StoppedError(f"worker {worker.address} {fault}; mend it and run again")
     limit_memory(worker.memory_manager.memory_limit)
+    _load_ahead(context.workflow.kind)
     known, outcomes, reported_s = [*chain.from_iterable(needed)], [], -REPORT_S
     for job in jobs:
         if time.monotonic() - reported_s >= REPORT_S:
@@ -91,6 +94,20 @@ def work(
             outcome = Outcome(job.need, None, again=(*job.tried, FAILED))
         outcomes.append(outcome)
     return outcomes
+
+
+@cache
+def _load_ahead(receiver: str) -> None:
+    """Import what later steps call beside the first tasks, once in a process.
+
+    In a small survey each task waits for the one before, and would wait for its modules as well.
+    """
+
+    def load() -> None:
+        for step in steps(receiver).values():
+            step.loaded()
+
+    threading.Thread(target=load, name="load steps", daemon=True).start()
 
 
 def misfit(context: RunContext[Any]) -> str:

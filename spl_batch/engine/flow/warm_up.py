@@ -1,81 +1,140 @@
-"""Preparation of one machine's workers: each does its share once, before its first task."""
+"""Preparation of this machine beside a run: processes get ready what its tasks call.
 
+They go through the steps in order, and a task waits for its own step alone: a processor that has
+no task yet works ahead for later steps.
+"""
+
+import contextlib
+import re
+import subprocess
+import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Final
 
-from spl_batch.engine.flow.job import Observer
-from spl_batch.engine.watch.events import Compiling, Note
-
-TOPIC: Final = "spl-batch-warm-up"
-"""What workers report their steps under."""
-
-REPORT_S: Final = 0.5
-"""A worker reports its steps at most once in so long [s]."""
+from spl_batch.engine.watch.events import Compiling, Listener, Note, ignore
 
 PATIENCE_S: Final = 600.0
 """Time after which tasks start all the same [s]."""
 
-Work = Callable[[int, int, Callable[[int, int], None]], int]
-"""Does a share, from 0, of so many, and returns how much was left to do. Its third argument takes
-how many steps of how many are done."""
+_LINE: Final = re.compile(r"(\d+) (\d+) (\d+) (\d+)\n")
+
+
+@dataclass(slots=True)
+class _Share:
+    """A process, and how far it is."""
+
+    child: Any
+    done: int = 0  #: Parts that are ready.
+    of: int = 0  #: Parts that it gets ready.
+    made: int = 0  #: Those that were not ready before.
+    step: int = 0  #: Number of the step that it works for; at its end, of steps.
+    heard: bool = False  #: Whether all that it wrote was taken in.
 
 
 @dataclass(slots=True)
 class WarmUp:
-    """Something to do before the first task."""
+    """Something that processes of this machine do before tasks need it.
 
-    work: Work  #: A function of a module, as workers are sent it.
+    Each process ends when its standard input does. It writes a line, the four numbers of
+    :class:`_Share`, before each part and at its end.
+    """
+
+    #: Command of a process, by its number from 0 and how many there are.
+    command: Callable[[int, int], Sequence[str]]
+    steps: Sequence[str]  #: Those whose tasks need some of it, in order.
     what: str  #: What is being done, in words.
-    done: bool = False
-    took_s: float | None = None  #: How long it took; None where nothing was left to do [s].
-    steps: dict[int, tuple[int, int]] = field(default_factory=dict)
+    mark: Path  #: It is there once all is ready: no process is started then.
+    processes: int  #: How many are started [count].
+    waited_s: float | None = None  #: How long tasks had to wait; None where all was ready [s].
+    _shares: list[_Share] = field(default_factory=list)
+    _listener: Listener = ignore
+    _told: bool = False
+    _changed: threading.Condition = field(default_factory=threading.Condition)
 
-    def share_out(self, client: Any, workers: Sequence[str], observer: Observer) -> None:
-        """Have each worker do its share, unless that is done; what fails is left to the tasks."""
-        if self.done:
+    @property
+    def made(self) -> int:
+        """Parts that were not ready before [count]."""
+        return sum(share.made for share in self._shares)
+
+    def begin(self, listener: Listener = ignore) -> None:
+        """Start the processes, unless they are at work; one listener hears how far they are."""
+        self._listener, self._told = listener, False
+        if not all(share.heard for share in self._shares):
             return
-        self.done, begin_s = True, time.monotonic()
-        from distributed import wait  # noqa: PLC0415 - slow import, only when used
+        self._shares, self.waited_s = [], None
+        for number in range(0 if self.mark.exists() else self.processes):
+            child = subprocess.Popen(  # noqa: S603 - a module of this project
+                self.command(number, self.processes),
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                start_new_session=True,  # Ctrl-C is for the run, which ends them
+            )
+            self._shares.append(_Share(child))
+        for share in self._shares:
+            threading.Thread(target=self._hear, args=(share,), daemon=True).start()
 
-        def hear(event: tuple[float, tuple[int, int, int]]) -> None:
-            share, done, of = event[1]
-            if not self.steps:
-                observer.tell(Note("info", self.what))
-            self.steps[share] = done, of
-            if len(self.steps) == len(workers):  # else the whole would grow as they begin
-                dones, ofs = zip(*self.steps.values(), strict=True)
-                observer.tell(Compiling(sum(dones), sum(ofs)))
+    @contextlib.contextmanager
+    def beside(self) -> Iterator[None]:
+        """Have the processes at work while a block runs, or what in it begins them again."""
+        self.begin()
+        try:
+            yield
+        finally:
+            self.end()
 
-        client.subscribe_topic(TOPIC, hear)
-        shares = [
-            client.submit(_work, self.work, k, len(workers), workers=[address],
-                          allow_other_workers=True, pure=False, key=f"{self.work.__name__}-{k}")
-            for k, address in enumerate(workers)
-        ]  # fmt: skip
-        with suppress(TimeoutError):
-            wait(shares, timeout=PATIENCE_S)
-        client.unsubscribe_topic(TOPIC)
-        if any(share.result() for share in shares if share.status == "finished"):
-            self.took_s = time.monotonic() - begin_s
-        for share in shares:
-            if share.status == "error":
-                observer.tell(Note("info", f"{self.what}: {share.exception()}"))
-            share.cancel()
+    def wait_for(self, step: str) -> None:
+        """Wait until what tasks of a step call is ready, or nobody gets it ready any more."""
+        if step in self.steps:
+            number, begin_s = self.steps.index(step), time.monotonic()
+            self._wait(lambda share: share.step > number)
+            if self.made:
+                self.waited_s = (self.waited_s or 0.0) + time.monotonic() - begin_s
 
+    def finish(self) -> None:
+        """Wait until all is ready."""
+        self._wait(lambda share: share.heard)
 
-def _work(work: Work, share: int, shares: int) -> int:
-    """Do a share on a worker, and report now and then how far it is."""
-    from distributed import get_worker  # noqa: PLC0415 - slow import, and it runs on workers only
+    def end(self) -> None:
+        """End the processes; what they have got ready stays."""
+        for share in self._shares:
+            share.child.kill()
+        self.finish()
 
-    worker, reported_s = get_worker(), -REPORT_S
+    def _wait(self, enough: Callable[[_Share], bool]) -> None:
+        with self._changed:
+            self._changed.wait_for(lambda: all(map(enough, self._shares)), PATIENCE_S)
 
-    def report(done: int, of: int) -> None:
-        nonlocal reported_s
-        if done == of or time.monotonic() - reported_s >= REPORT_S:
-            reported_s = time.monotonic()
-            worker.log_event(TOPIC, (share, done, of))
+    def _hear(self, share: _Share) -> None:
+        """Take in what a process writes, to its end."""
+        line = ""
+        try:
+            with share.child as child:
+                for line in child.stdout:
+                    if found := _LINE.fullmatch(line):
+                        self._take(share, *map(int, found.groups()))
+            if child.returncode > 0:
+                self._listener(Note("info", f"{self.what}: {line.strip()}"))
+            elif all(one.child.returncode == 0 for one in self._shares):
+                self.mark.touch()
+        finally:
+            with self._changed:
+                share.step, share.heard = len(self.steps), True
+                self._changed.notify_all()
 
-    return work(share, shares, report)
+    def _take(self, share: _Share, done: int, of: int, made: int, step: int) -> None:
+        """Take in how far a process is, and report it unless all find everything ready."""
+        with self._changed:
+            share.done, share.of, share.made, share.step = done, of, made, step
+            self._changed.notify_all()
+            if made and not self._told:
+                self._listener(Note("info", self.what))
+                self._told = True
+            # Else the whole would grow as they begin.
+            if self.made and all(one.of for one in self._shares):
+                dones, ofs = zip(*((one.done, one.of) for one in self._shares), strict=True)
+                self._listener(Compiling(sum(dones), sum(ofs)))

@@ -116,9 +116,9 @@ class Performance(Part):
     wall_s: Number = Field(None, description="From start to the report [s].")
     compile_s: Number = Field(
         None,
-        description="The part of it in which workers compiled kernels for this machine, before the "
-        "first task; later runs find that done. Null where nothing was to be compiled, or tasks "
-        "did it [s].",
+        description="The part of it in which tasks waited for kernels that were compiled for this "
+        "machine; later runs find that done. Null where nothing was to be compiled, or tasks did "
+        "it [s].",
     )
     points_per_s: Number = Field(
         None,

@@ -82,8 +82,8 @@ class RunFacts:
     findings: tuple[Finding, ...] = ()  #: What the run has warned of.
     reference: tuple[str, ...] = ()
     not_read: int = 0  #: Points that unreadable files promise [count].
-    #: Time that workers compiled before the first task [s]; None where nothing was left to compile,
-    #: or tasks did it.
+    #: Time that tasks waited for kernels [s]; None where nothing was left to compile, or tasks did
+    #: it.
     compile_s: float | None = None
 
 

@@ -59,6 +59,7 @@ class Progress:
     workers: int
     deliveries: Deliveries  #: What this run and those before it have written into the output.
     listener: Listener
+    reports: bool = True  #: Whether the run writes a report.
     costs: dict[str, StageCost] = field(default_factory=dict)
     failures: list[tuple[Task, Receipt]] = field(default_factory=list)
     findings: list[Finding] = field(default_factory=list)
@@ -78,7 +79,7 @@ class Progress:
     def tell(self, event: Event) -> None:
         """Pass an event on, to the log as well."""
         with self.lock:  # workers report their beginnings in another thread
-            if isinstance(event, WorkersReady) and find_spec("matplotlib"):
+            if isinstance(event, WorkersReady) and self.reports and find_spec("matplotlib"):
                 # What draws a report takes seconds to import; while workers are busy, none.
                 load = partial(summariser, self.prepared.context.workflow.kind)
                 threading.Thread(target=load, name="load report", daemon=True).start()

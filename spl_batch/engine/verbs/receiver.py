@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Generic, NamedTuple, NoReturn, TypeVar
 
 from spl_batch.engine.findings import Finding
-from spl_batch.engine.flow.warm_up import Work
+from spl_batch.engine.flow.warm_up import WarmUp
 from spl_batch.engine.plan.budget import Cost
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.input_changes import stamp_if_there
@@ -75,9 +75,9 @@ class Receiver(ABC, Generic[L, C]):
     #: Patterns of the files that its runs deliver, below the output.
     delivered: ClassVar[tuple[str, ...]] = ()
 
-    @property
-    def compiles(self) -> Work | None:
-        """Compiles a share, from 0, of so many, of the kernels that the tasks call."""
+    def warm_up(self, workflow: Any, until: str | None, workers: int) -> WarmUp | None:
+        """What compiles the kernels that tasks call up to a stage; None where there are none."""
+        del workflow, until, workers
         return None
 
     @abstractmethod

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from spl_batch.engine.flow.cluster import executor, refuse_no_address
-from spl_batch.engine.flow.warm_up import WarmUp
 from spl_batch.engine.plan.budget import Cost
 from spl_batch.engine.report.number_format import as_ascii, duration
 from spl_batch.engine.report.run_record import REPORT_FILES, RunFacts, remember, report_code
@@ -40,12 +39,6 @@ from spl_batch.errors import (
 )
 from spl_batch.formats.files.atomic import json_digest, remove, stop_if_full
 from spl_batch.receivers import report_model, summariser
-
-COMPILING: Final = (
-    "getting the kernels ready; the first run on a machine compiles them, which usually takes a "
-    "minute or two, and later runs load them in seconds"
-)
-"""Note before tasks begin; workers count the kernels, tasks in this process compile as they go."""
 
 REST: Final = "rest.json"
 """File beside the receipts that records the state of a finished run."""
@@ -127,7 +120,7 @@ def run(
         if fresh:
             context.store.clear()
         deliveries.begin()
-        progress = Progress(prepared, workers, deliveries, listener)
+        progress = Progress(prepared, workers, deliveries, listener, reports)
         progress.tell(_started(prepared, workflow, workers, cost))
         with _logging_the_end(progress), _stopped_by_system():
             if stopped:
@@ -137,10 +130,9 @@ def run(
             progress.warn((*prepared.ledger.remarks, *gone, *prepared.ledger.inputs.warnings))
             for text in (*told_together(prepared.ledger.inputs.bad), *look.late):
                 progress.note(text, "error")
-            compiles = prepared.receiver.compiles
-            warm_up = WarmUp(compiles, COMPILING) if compiles else None
-            if new and compiles and not workers and scheduler is None:
-                progress.note(COMPILING)
+            warm_up = prepared.receiver.warm_up(context.workflow, until, workers)
+            if new and warm_up and not workers and scheduler is None:
+                progress.note(warm_up.what)
             result = _rested(progress, start) if reports and not fresh else None
             if result is None:
                 remove(context.store.local / REST)
@@ -151,14 +143,14 @@ def run(
                     memory_bytes=prepared.ledger.memory_bytes,
                     scheduler=scheduler,
                     observer=progress,
-                    warm_up=warm_up,
+                    warm_up=None if scheduler else warm_up,
                 ) as pool:
                     again = True
                     while again:
                         Graph(steps, pool, progress).run()
                         again = progress.repair()
                 progress.withdraw(steps)
-                compile_s = warm_up.took_s if warm_up else None
+                compile_s = warm_up.waited_s if warm_up else None
                 result = _concluded(progress, start, compile_s, reports=reports)
         progress.tell(RunEnded(result.exit_status))
     return result
@@ -223,7 +215,7 @@ def _concluded(
     """Write the report unless the run was to stop before it.
 
     None where a file that it reads has to be made again. ``start``: when the run began;
-    ``compile_s``: how long it has compiled [s].
+    ``compile_s``: how long it has waited for kernels [s].
     """
     prepared = progress.prepared
     ledger, receiver, output = prepared.ledger, prepared.receiver, prepared.context.output

@@ -92,7 +92,7 @@ class TaskSettled:
 
 @dataclass(frozen=True, slots=True)
 class Compiling:
-    """Workers compile kernels before their first task; the log does not have it."""
+    """Kernels are compiled beside the run; the log does not have it."""
 
     #: Kernels that are compiled, and all of them [count].
     done: int

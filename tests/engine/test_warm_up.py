@@ -1,0 +1,87 @@
+"""What is made ready beside a run: tasks wait for their own step, and a fault is told."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from spl_batch.engine.flow import warm_up
+from spl_batch.engine.flow.warm_up import WarmUp
+from spl_batch.engine.watch.events import Compiling, Event, Note
+
+PROCESS = """
+import sys, time, pathlib
+
+for line in sys.argv[2:]:
+    while line == "wait" and not pathlib.Path(sys.argv[1]).exists():
+        time.sleep(0.01)
+    if line != "wait":
+        print(line, flush=True)
+sys.exit(sys.argv[2:] == ["wrong"])
+"""
+"""Writes lines, and may wait for a file between them."""
+
+
+@pytest.fixture(autouse=True)
+def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(warm_up, "PATIENCE_S", 20.0)
+
+
+def two(folder: Path, first: list[str], second: list[str]) -> WarmUp:
+    commands = [
+        [sys.executable, "-c", PROCESS, str(folder / "go"), *one] for one in (first, second)
+    ]
+    return WarmUp(
+        lambda number, _: commands[number], ["index", "denoise"], "compiling", folder / "ready", 2
+    )
+
+
+def test_tasks_wait_for_their_own_step_alone(tmp_path: Path) -> None:
+    told: list[Event] = []
+    one = two(tmp_path, ["0 2 0 1", "2 2 2 2"], ["0 2 0 0", "0 2 0 1", "wait", "2 2 1 2"])
+    one.begin(told.append)
+    one.wait_for("report")  # for which nothing is made ready
+    one.wait_for("index")
+    (tmp_path / "go").touch()
+    one.wait_for("denoise")
+    one.finish()
+    assert one.made == 3
+    assert one.waited_s
+    assert (told[0], told[-1]) == (Note("info", "compiling"), Compiling(4, 4))
+    assert {event.of for event in told[1:] if isinstance(event, Compiling)} == {4}, "no growth"
+    assert one.mark.exists()
+    one.begin(told.append)
+    one.wait_for("denoise")
+    assert (one.made, one.waited_s) == (0, None), "nobody waits for what is ready"
+
+
+def test_what_finds_all_ready_says_nothing(tmp_path: Path) -> None:
+    told: list[Event] = []
+    one = two(tmp_path, ["0 2 0 1", "2 2 0 2"], ["2 2 0 2"])
+    one.begin(told.append)
+    one.wait_for("denoise")
+    one.finish()
+    assert (told, one.waited_s, one.mark.exists()) == ([], None, True)
+
+
+def test_a_fault_is_told_and_the_tasks_begin(tmp_path: Path) -> None:
+    told: list[Event] = []
+    one = two(tmp_path, ["wrong"], ["0 2 0 1", "2 2 1 2"])
+    one.begin(told.append)
+    one.wait_for("denoise")
+    one.finish()
+    assert Note("info", "compiling: wrong") in told
+    assert not one.mark.exists()
+
+
+def test_processes_that_are_ended_begin_again(tmp_path: Path) -> None:
+    told: list[Event] = []
+    one = two(tmp_path, ["0 2 0 0", "wait"], ["0 2 0 0", "wait"])
+    one.begin(told.append)
+    one.begin(told.append)
+    one.end()
+    assert (told, one.mark.exists()) == ([], False)
+    (tmp_path / "go").touch()
+    one.begin(told.append)
+    one.finish()
+    assert one.mark.exists()
