@@ -1,8 +1,8 @@
 """The experiment of [W17] 7.4 again: terrain with and without afterpulse removal.
 
 Three chains: noise, plane rule and filter of [W17] with PTD; the same with our ground; and ours.
-Our PTD starts from the lowest returns, as the source's, but refuses pits and what lies under hard
-surfaces, so afterpulses hardly move it. Lags reach 5 m, as deep as differences do in Fig. 7-6.
+PTD starts from the lowest returns, as the source's does, and takes those far below the ground that
+the published filter leaves. Lags reach 5 m, as deep as differences do in Fig. 7-6.
 """
 
 from collections.abc import Mapping
