@@ -67,13 +67,17 @@ def tallies(differences: Mapping[str, NDArray[np.floating[Any]]]) -> Tallies:
 def add_up(parts: Iterable[Mapping[str, Tally]]) -> Tallies:
     """Errors of several places together; a class that one place lacks is empty there."""
     waiting: dict[str, list[Tally]] = {}
+    more = dict[str, int]()
     for part in parts:
         for name, found in part.items():
-            listed = waiting.setdefault(name, [])
+            listed = waiting.setdefault(name, [found])
+            if listed[0] is found or not len(found.steps):
+                continue
             listed.append(found)
+            more[name] = more.get(name, 0) + len(found.steps)
             # Added up where those that wait hold as much: in memory are twice as many at most.
-            if sum(len(one.steps) for one in listed[1:]) >= len(listed[0].steps):
-                listed[:] = [_together(listed)]
+            if more[name] >= len(listed[0].steps):
+                listed[:], more[name] = [_together(listed)], 0
     return {name: _together(listed) for name, listed in waiting.items()}
 
 

@@ -16,6 +16,7 @@ from spl_batch.airborne.arrays.checked import (
     settings_of,
 )
 from spl_batch.airborne.arrays.compiling import telling
+from spl_batch.airborne.arrays.empty_space import empty_space
 from spl_batch.airborne.arrays.labels import Labels
 from spl_batch.airborne.ground.ground_methods import ground_mask
 from spl_batch.airborne.plan.grid import Grid
@@ -23,7 +24,13 @@ from spl_batch.airborne.plan.task_memory import RASTER_BYTES
 from spl_batch.airborne.products import surface_points, surface_rasters
 from spl_batch.airborne.products.cell_values import shape_of
 from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL, QUANTUM_M
+from spl_batch.constants import (
+    NODATA,
+    NOISE_BACKGROUND,
+    NOISE_NOT_ASSESSED,
+    NOISE_SIGNAL,
+    QUANTUM_M,
+)
 from spl_batch.errors import InputError, grouped, needed
 from spl_batch.lattice.tables import PointFlag, PointTable
 from spl_batch.lattice.tiles import Bounds, CellId, grow, inside, quanta, shared, whole_cells
@@ -192,6 +199,10 @@ def rasterize(
     if is_ground.shape != (len(table),):
         raise InputError("ground", f"shape {is_ground.shape}; give one value for each point")
     table = table.with_columns(ground=is_ground.astype(np.uint8))
+    if "noise_density" not in table and (table["noise_class"] == NOISE_BACKGROUND).any():
+        # What was refused shows that there is noise, and the cloud's empty space how much.
+        density = empty_space(*(table[axis] for axis in "xyz")).density
+        table = table.with_columns(noise_density=density.astype(np.float32))
     size = quanta(workflow.products.cell_m)
     edge = quanta(workflow.ground.cell_m)
     exact = math.isclose(size * QUANTUM_M, workflow.products.cell_m)

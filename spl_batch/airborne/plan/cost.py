@@ -164,7 +164,7 @@ def _copies(workflow: Workflow) -> int:
 def _raster_bytes(survey: Survey, area_m2: float) -> int:
     """Rasters of an area in the working store and as they are delivered [byte].
 
-    Deflated, and with overviews, a value takes 3.0 to 3.7 bytes there as here: as many as it has.
+    Deflated, with overviews, a value takes 3.0 to 3.7 bytes; in the store it takes the four it has.
     """
     workflow, outputs = survey.workflow, survey.workflow.outputs
     cells, again = area_m2 / workflow.products.cell_m**2, 0.0

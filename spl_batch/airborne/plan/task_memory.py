@@ -119,7 +119,7 @@ def needs(
 ) -> list[Need]:
     """Memory of the heaviest task of each kind, where the points of ``pieces`` lie.
 
-    Those that hold less than a stretch are left out: parts of files, and the trajectory.
+    Parts of files and the trajectory are left out: beside a stretch of ordinary size they are small.
 
     ``files``: points of each file; ``side``: tiles along one side of a cell of ``denoise`` [count];
     ``units``: in which places are named.

@@ -269,14 +269,17 @@ def _signal(
 
 
 def _noise_aloft(signal: PointTable, near: Bounds, size: int) -> NDArray[np.float64]:
-    """Most noise that is expected at a return of each raster cell, row by row [1/m3]."""
+    """Most noise that is expected at a return of each raster cell, row by row [1/m3].
+
+    Where none is known it is the most that is known around; 0 without any.
+    """
     rows, cols = shape_of(near, size)
-    found = np.zeros(rows * cols)
+    found = np.full(rows * cols, -1.0)
     if "noise_density" in signal:
         expected = signal["noise_density"]
         known = np.isfinite(expected)
         np.maximum.at(found, cell_number(signal, near, size)[known], expected[known])
-    return found
+    return np.where(found < 0.0, found.max(initial=0.0), found)
 
 
 def _counts(signal: PointTable, cell: Bounds, size: int) -> dict[str, NDArray[np.float64]]:

@@ -47,8 +47,8 @@ RIM_NEIGHBOURS = 2
 """Of eight cells around, those whose tops confirm a return of a cell without ground [count]."""
 
 
-COUNTS: Final = 256
-"""Peers that confirm a return in any noise [count]."""
+SPARE_PEERS: Final = 256
+"""Peers beyond twice what noise lets expect that confirm a return at any false alarm [count]."""
 
 
 class Support(NamedTuple):
@@ -99,7 +99,8 @@ def support_of(noise: NDArray[np.float64], settings: ProductSettings) -> Support
     densities, which = np.unique(noise, return_inverse=True)
     expected = 4.0 / 3.0 * np.pi * densities[:, None] * np.array(radii_m) ** 3
     # Up to this lambda P(K >= k | lambda) is small enough, by k.
-    most = gammaincinv(np.arange(max(least, 1), COUNTS), settings.dsm_false_alarm)
+    end = max(least, int(2.0 * expected.max(initial=0.0))) + SPARE_PEERS
+    most = gammaincinv(np.arange(max(least, 1), end), settings.dsm_false_alarm)
     return Support(
         radius=np.array([quanta(radius_m) for radius_m in radii_m]),
         needed=least

@@ -31,7 +31,9 @@ from spl_batch.airborne.tasks.reference import read_square
 from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.run_record import Receipts, RunFacts
+from spl_batch.engine.store.working_store import forget_receipt
 from spl_batch.engine.tasks.context import Produced
+from spl_batch.errors import DamagedError
 from spl_batch.formats.rasters.parts import Grid, RasterPart, overview_frame
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
 from spl_batch.lattice.tables import PointTable
@@ -213,10 +215,19 @@ def _squares(
     done: Receipts, context: Context, total: NDArray[np.int64], count: NDArray[np.int64]
 ) -> Iterator[Tallies]:
     """Errors that each square has found; what it says of the map is added to ``total, count``."""
+    damaged: DamagedError | None = None
     for square in done.get("accuracy", {}):
-        arrays = read_arrays(context.store.path("accuracy", f"{square}.npz"))
+        try:
+            arrays = read_arrays(context.store.path("accuracy", f"{square}.npz"))
+        except DamagedError as error:
+            if damaged is not None:
+                forget_receipt(context.store, "accuracy", square)  # made again with the first
+            damaged = damaged or error
+            continue
         if "cell" in arrays:
             # No cell is named twice by one square.
             total[arrays["cell"]] += arrays["total"]
             count[arrays["cell"]] += arrays["count"]
         yield {k: Tally(*v.astype(np.int64)) for k, v in arrays.items() if k not in _MAP}
+    if damaged is not None:
+        raise damaged

@@ -17,7 +17,6 @@ from pyproj import CRS
 from spl_batch.airborne.accuracy.raster_and_reference import Raster, Reference
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.settings import ReferenceSettings
-from spl_batch.airborne.tasks.index import CHUNK_POINTS
 from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.tasks.context import Produced
@@ -29,6 +28,10 @@ from spl_batch.formats.verified.parquet_npz import groups_between, writing
 from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import COLUMNS, PointTable
 from spl_batch.lattice.tiles import Bounds, CellId, inside, parse_cell
+
+CHUNK_POINTS: Final = 1_000_000
+"""Points that are read and written at a time [count]: each chunk is a group of rows of every square
+that it touches."""
 
 _KEPT: Final = ("x", "y", "z", "input_class")
 """Columns that a square keeps of a point."""

@@ -142,6 +142,20 @@ def test_each_wrong_setting_is_named() -> None:
             spl_batch.filter_points(CLOUD, **arguments)  # type: ignore[arg-type]
 
 
+def test_noise_that_a_filter_kept_sets_no_top_whatever_says_what_it_kept() -> None:
+    rng = np.random.default_rng(3)
+    edge_m, per_m2, per_m3 = 70, 20, 0.1
+    ground = rng.uniform((0, 0, -0.05), (edge_m, edge_m, 0.05), (per_m2 * edge_m**2, 3))
+    noise = rng.uniform((0, 0, -100), (edge_m, edge_m, 100), (int(200 * per_m3 * edge_m**2), 3))
+    xyz = np.concatenate([ground, noise]) + np.array([500_000, 5_000_000, 0])
+    labels = spl_batch.filter_points(xyz)
+    is_ground = np.arange(len(xyz)) < len(ground)
+    for given in (labels, labels.noise_class, labels.signal):
+        assert np.nanmax(spl_batch.rasterize(xyz, given, is_ground).dsm) < 1.0
+    unfiltered = spl_batch.rasterize(xyz[labels.signal], None, is_ground[labels.signal])
+    assert np.nanmax(unfiltered.dsm) > 1.0, "nothing shows that there is noise"
+
+
 def test_rasters_as_xarray() -> None:
     pytest.importorskip("xarray", reason="xarray is not installed")
     made = spl_batch.rasterize(GROUND).to_xarray()

@@ -60,6 +60,14 @@ def far(**boxes: tuple[float, float, float, float]) -> list[Finding]:
     return list(far_positions([(name, facts(name, box)) for name, box in boxes.items()]))
 
 
+def test_a_file_far_from_two_corridors_that_meet_at_a_corner_is_named() -> None:
+    """No empty column or row lies between it and them."""
+    east = {f"e{k}": (k * 2000.0, 0.0, (k + 1) * 2000.0, 2000.0) for k in range(20)}
+    north = {f"n{k}": (0.0, k * 2000.0, 2000.0, (k + 1) * 2000.0) for k in range(1, 20)}
+    found = far(**{**east, **north, "stray": (30e3, 30e3, 32e3, 32e3)})
+    assert [(f.code, f.subject, round(f.values["km"])) for f in found] == [("I05", "stray", 28)]
+
+
 def test_a_file_saved_again_by_another_scale_is_named() -> None:
     one = facts("a.laz", (500_000.2, 0.0, 500_150.0, 150.0))
     coarse = replace(one, scales=(0.01, 0.01, 0.01), maxs_m=(500_150.004, 150.0, 50.0))

@@ -17,7 +17,6 @@ from spl_batch.formats.las.reader import LasFacts, inspect
 from spl_batch.formats.trajectory.positions import ELSEWHERE_M
 from spl_batch.formats.trajectory.records import Records
 from spl_batch.formats.units import COMMON, METRES, Units, in_words
-from spl_batch.lattice.tiles import far_apart
 
 FAR_M: Final = 10_000.0
 """Gap up to which parts belong to a survey however short its files are [m]: groups of flightlines
@@ -188,8 +187,7 @@ def _distant(
     if not len(boxes):
         return
     longest_m = float(_sides(boxes).max())
-    low, high = np.split(np.rint(boxes).astype(np.int64), 2, axis=1)
-    parts = [np.sort(part) for part in far_apart(low, math.ceil(max(longest_m, FAR_M)), high)]
+    parts = _parts(boxes, max(longest_m, FAR_M))
     main = max(parts, key=lambda part: (points[part].sum(), len(part), -part[0]))
     for part in parts:
         if part is main:
@@ -229,3 +227,21 @@ def _gaps(boxes: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.
     apart = np.maximum(boxes[:, :2] - other[2:], other[:2] - boxes[:, 2:])
     gaps: NDArray[np.float64] = np.hypot(*np.maximum(apart, 0.0).T)
     return gaps
+
+
+def _parts(boxes: NDArray[np.float64], gap_m: float) -> list[list[int]]:
+    """Places of the boxes that are joined over gaps of no more than this, part by part."""
+    left = set(range(len(boxes)))
+    parts = []
+    while left:
+        front = [min(left)]
+        left.discard(front[0])
+        part = []
+        while front:
+            k = front.pop()
+            part.append(k)
+            near = set(np.flatnonzero(_gaps(boxes, boxes[k]) <= gap_m).tolist()) & left
+            left -= near
+            front += sorted(near)
+        parts.append(sorted(part))
+    return parts

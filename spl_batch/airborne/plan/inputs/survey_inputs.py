@@ -3,7 +3,7 @@
 import difflib
 import os
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -42,12 +42,14 @@ from spl_batch.airborne.plan.inputs.survey_crs import (
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.input_files import (
+    CHECK,
     check_keys,
     expand,
     name_below,
     refuse_own,
     source_key,
 )
+from spl_batch.engine.settings.mistaken_file import url_fault
 from spl_batch.errors import (
     InputError,
     WorkflowError,
@@ -123,8 +125,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     others = shape_files(workflow)
     if workflow.reference and workflow.reference.checkpoints is not None:
         others["reference.checkpoints"] = workflow.reference.checkpoints
-    for key, name in others.items():
-        expand(name, base, key, faults)
+    faults += _missing(others, base)
     refuse_own(paths, output, "survey.flightlines", faults)
     if faults:
         raise WorkflowError("; ".join(faults))
@@ -180,6 +181,15 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         _unusable(trajectory, workflow, crs, good),
         areas,
     )
+
+
+def _missing(named: Mapping[str, str], base: Path) -> Iterator[str]:
+    """A sentence for each file that cannot be there, by its key."""
+    for key, name in named.items():
+        if fault := url_fault(name):
+            yield f"{key}: {name}: {fault}"
+        elif not (base / name).exists():
+            yield f"{key}: {base / name} does not exist; {CHECK}"
 
 
 def _refuse_no_copc(workflow: Workflow, files: Sequence[LasFacts], base: Path) -> None:
