@@ -119,7 +119,7 @@ def needs(
 ) -> list[Need]:
     """Memory of the heaviest task of each kind, where the points of ``pieces`` lie.
 
-    Parts of files and the trajectory are left out: beside a stretch of ordinary size they are small.
+    Parts of files and the trajectory are left out: a stretch of ordinary size holds more.
 
     ``files``: points of each file; ``side``: tiles along one side of a cell of ``denoise`` [count];
     ``units``: in which places are named.
