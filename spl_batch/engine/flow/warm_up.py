@@ -89,11 +89,13 @@ class WarmUp:
 
     def wait_for(self, step: str) -> None:
         """Wait until what tasks of a step call is ready, or nobody gets it ready any more."""
-        if step in self.steps:
-            number, begin_s = self.steps.index(step), time.monotonic()
-            self._wait(lambda share: share.step > number)
-            if self.made:
-                self.waited_s = (self.waited_s or 0.0) + time.monotonic() - begin_s
+        number = self.steps.index(step) if step in self.steps else -1
+        if all(share.step > number for share in self._shares):
+            return
+        begin_s = time.monotonic()
+        self._wait(lambda share: share.step > number)
+        if self.made:
+            self.waited_s = (self.waited_s or 0.0) + time.monotonic() - begin_s
 
     def finish(self) -> None:
         """Wait until all is ready."""
