@@ -13,7 +13,6 @@ import gc
 import importlib
 import json
 import os
-import platform
 import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,6 +21,7 @@ from importlib.resources import files
 from itertools import chain
 from typing import Any, Final
 
+from llvmlite.binding import get_host_cpu_name
 from numba import types
 from numba.core.dispatcher import Dispatcher
 
@@ -70,15 +70,16 @@ def listed(workflow: Workflow | None = None, until: str | None = None) -> Listed
 def compiling(processes: int, workflow: Workflow | None = None, until: str | None = None) -> WarmUp:
     """Processes that compile the kernels of :func:`listed`; those that do so already, if any."""
     found = _compiling(json.dumps(listed(workflow, until)))
-    found.processes = min(processes, os.cpu_count() or 1)
+    found.processes, found.waited_s = min(processes, os.cpu_count() or 1), None
     return found
 
 
 @cache
 def _compiling(names: str) -> WarmUp:
-    # numba's code is for one kind of processor; machines that share a disk may have several.
-    what = [code_version(IMAGING), platform.node(), names]
-    mark = folder_of(find) / f"{json_digest(what)}.compiled"
+    # numba's code is of one interpreter and for one kind of processor; machines that share a disk
+    # may have several.
+    code = code_version(IMAGING), sys.implementation.cache_tag, get_host_cpu_name()
+    mark = folder_of(find) / f"{json_digest(code)}-{json_digest(names)}.compiled"
     return WarmUp(partial(_command, names), [*json.loads(names)], COMPILING, mark, 1)
 
 

@@ -60,7 +60,9 @@ class View:
     def simulated(self, share: float) -> None:
         """Show how much of a simulation is done, 0..1."""
         self._show(StageStatus("simulate", total=100, done=round(100 * share)))
-        how = f"{100 * share:.0f} %" if share else "the first on a machine compiles for a minute"
+        how = (
+            f"{100 * share:.0f} %" if share else "the first on a machine compiles for half a minute"
+        )
         self._line(f"simulate: {how}", now=share in {0.0, 1.0})
 
     def loading(self) -> None:

@@ -113,3 +113,12 @@ def test_a_process_that_compiles_ends_with_the_one_that_started_it() -> None:
         child.stdout.readline()
         child.communicate()
     assert child.returncode == 1
+
+
+def test_code_of_another_version_has_another_mark(monkeypatch: pytest.MonkeyPatch) -> None:
+    mine = precompile._compiling.__wrapped__('["index"]').mark
+    assert mine == precompile._compiling.__wrapped__('["index"]').mark
+    monkeypatch.setattr(precompile, "code_version", lambda _: "another")
+    other = precompile._compiling.__wrapped__('["index"]').mark
+    assert other.name.partition("-")[0] != mine.name.partition("-")[0]
+    assert other.name.partition("-")[2] == mine.name.partition("-")[2]

@@ -1,6 +1,7 @@
 """What is made ready beside a run: tasks wait for their own step, and a fault is told."""
 
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -32,7 +33,11 @@ def two(folder: Path, first: list[str], second: list[str]) -> WarmUp:
         [sys.executable, "-c", PROCESS, str(folder / "go"), *one] for one in (first, second)
     ]
     return WarmUp(
-        lambda number, _: commands[number], ["index", "denoise"], "compiling", folder / "ready", 2
+        lambda number, _: commands[number],
+        ["index", "denoise"],
+        "compiling",
+        folder / "a-1.ready",
+        2,
     )
 
 
@@ -79,9 +84,45 @@ def test_processes_that_are_ended_begin_again(tmp_path: Path) -> None:
     one = two(tmp_path, ["0 2 0 0", "wait"], ["0 2 0 0", "wait"])
     one.begin(told.append)
     one.begin(told.append)
+    begin_s = time.monotonic()
     one.end()
+    assert time.monotonic() - begin_s < 0.5 * warm_up.PATIENCE_S, "they were killed"
     assert (told, one.mark.exists()) == ([], False)
     (tmp_path / "go").touch()
     one.begin(told.append)
     one.finish()
     assert one.mark.exists()
+
+
+def test_a_process_that_hangs_is_waited_for_once_and_one_that_dies_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(warm_up, "PATIENCE_S", 1.0)
+    told: list[Event] = []
+    one = two(tmp_path, ["0 2 0 0", "wait"], ["0 2 0 0", "wait"])
+    begin_s = time.monotonic()
+    one.begin(told.append)
+    for _ in range(5):
+        one.wait_for("index")
+    assert time.monotonic() - begin_s < 3.0
+    one._shares[0].child.kill()
+    monkeypatch.setattr(one, "_deadline_s", time.monotonic() + 20.0)
+    one._wait(lambda share: share.heard or share is one._shares[1])
+    assert told == [Note("info", "compiling: ended by signal 9")]
+    one.end()
+
+
+def test_what_cannot_be_started_is_left_to_the_tasks(tmp_path: Path) -> None:
+    told: list[Event] = []
+    one = WarmUp(lambda *_: [str(tmp_path / "none")], ["index"], "compiling", tmp_path / "a-b.x", 2)
+    one.begin(told.append)
+    one.wait_for("index")
+    one.end()
+    assert [type(event) for event in told] == [Note]
+
+
+def test_marks_of_other_code_go(tmp_path: Path) -> None:
+    for name in ("old-1.x", "a-1.x", "a-1.y"):
+        (tmp_path / name).touch()
+    WarmUp(lambda *_: ["/none"], ["index"], "compiling", tmp_path / "a-2.x", 1).begin()
+    assert {path.name for path in tmp_path.iterdir()} == {"a-1.x", "a-1.y"}

@@ -48,6 +48,8 @@ _IN_OTHER_FILES: Final = (
 
 _WORKFLOW: Final = "workflow.yaml"
 _LAST: Final = "deliver"
+"""Stage after which all is there that is kept."""
+
 _MOVED: Final = "moved.json"
 """Record of the results that were moved out of the folder: size and time of writing."""
 

@@ -46,12 +46,16 @@ class WarmUp:
     command: Callable[[int, int], Sequence[str]]
     steps: Sequence[str]  #: Those whose tasks need some of it, in order.
     what: str  #: What is being done, in words.
-    mark: Path  #: It is there once all is ready: no process is started then.
+    #: It is there once all is ready: no process is started then. Marks beside it that differ before
+    #: a hyphen are of other code, whose place what is got ready takes.
+    mark: Path
     processes: int  #: How many are started [count].
     waited_s: float | None = None  #: How long tasks had to wait; None where all was ready [s].
     _shares: list[_Share] = field(default_factory=list)
     _listener: Listener = ignore
     _told: bool = False
+    _ended: bool = False
+    _deadline_s: float = 0.0
     _changed: threading.Condition = field(default_factory=threading.Condition)
 
     @property
@@ -64,19 +68,33 @@ class WarmUp:
         self._listener, self._told = listener, False
         if not all(share.heard for share in self._shares):
             return
-        self._shares, self.waited_s = [], None
-        for number in range(0 if self.mark.exists() else self.processes):
-            child = subprocess.Popen(  # noqa: S603 - a module of this project
-                self.command(number, self.processes),
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-                start_new_session=True,  # Ctrl-C is for the run, which ends them
-            )
-            self._shares.append(_Share(child))
+        self._shares, self.waited_s, self._ended = [], None, False
+        self._deadline_s = time.monotonic() + PATIENCE_S
+        if self.mark.exists():
+            return
+        own, _, _ = self.mark.name.partition("-")
+        for other in self.mark.parent.glob(f"*{self.mark.suffix}"):
+            if not other.name.startswith(own):
+                other.unlink(missing_ok=True)
+        try:
+            children = [self._child(number) for number in range(self.processes)]
+        except OSError as error:
+            self._listener(Note("info", f"{self.what}: {error}"))
+            return
+        self._shares = [_Share(child) for child in children]
         for share in self._shares:
             threading.Thread(target=self._hear, args=(share,), daemon=True).start()
+
+    def _child(self, number: int) -> Any:
+        """A process; it ends by itself once nobody holds the other end of its standard input."""
+        return subprocess.Popen(  # noqa: S603 - a module of this project
+            self.command(number, self.processes),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,  # Ctrl-C is for the run, which ends them
+        )
 
     @contextlib.contextmanager
     def beside(self) -> Iterator[None]:
@@ -103,13 +121,15 @@ class WarmUp:
 
     def end(self) -> None:
         """End the processes; what they have got ready stays."""
+        self._ended = True
         for share in self._shares:
             share.child.kill()
         self.finish()
 
     def _wait(self, enough: Callable[[_Share], bool]) -> None:
         with self._changed:
-            self._changed.wait_for(lambda: all(map(enough, self._shares)), PATIENCE_S)
+            left_s = max(self._deadline_s - time.monotonic(), 0.0)
+            self._changed.wait_for(lambda: all(map(enough, self._shares)), left_s)
 
     def _hear(self, share: _Share) -> None:
         """Take in what a process writes, to its end."""
@@ -119,10 +139,15 @@ class WarmUp:
                 for line in child.stdout:
                     if found := _LINE.fullmatch(line):
                         self._take(share, *map(int, found.groups()))
-            if child.returncode > 0:
-                self._listener(Note("info", f"{self.what}: {line.strip()}"))
+            if child.returncode and not self._ended:
+                why = (
+                    line.strip() if child.returncode > 0 else f"ended by signal {-child.returncode}"
+                )
+                self._listener(Note("info", f"{self.what}: {why}"))
             elif all(one.child.returncode == 0 for one in self._shares):
                 self.mark.touch()
+        except OSError as error:  # a full disk: the next run looks again
+            self._listener(Note("info", f"{self.what}: {error}"))
         finally:
             with self._changed:
                 share.step, share.heard = len(self.steps), True
