@@ -43,6 +43,7 @@ def test_layers_that_go_on_are_thinner(seed: int, thinnest: float) -> None:
     held = slow_layer(z, z.min(), thinnest)
     assert nodes.points[0] == slow_layer(z, z.min(), 1.0).sum()
     assert nodes.xyz[0, 2] == pytest.approx(z[held].mean(), abs=1e-9)
+    assert nodes.doubtful[0] == (count >= _CROWDED and held.sum() < SUPPORTED)
 
 
 @settings(max_examples=60, deadline=None)
