@@ -77,9 +77,9 @@ def compiling(processes: int, workflow: Workflow | None = None, until: str | Non
 @cache
 def _compiling(names: str) -> WarmUp:
     # numba's code is of one interpreter and for one kind of processor; machines that share a disk
-    # may have several.
-    code = code_version(IMAGING), sys.implementation.cache_tag, get_host_cpu_name()
-    mark = folder_of(find) / f"{json_digest(code)}-{json_digest(names)}.compiled"
+    # may have several, whose code lies side by side.
+    whose = sys.implementation.cache_tag, get_host_cpu_name(), names
+    mark = folder_of(find) / f"{json_digest(code_version(IMAGING))}-{json_digest(whose)}.compiled"
     return WarmUp(partial(_command, names), [*json.loads(names)], COMPILING, mark, 1)
 
 
