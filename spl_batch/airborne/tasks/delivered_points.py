@@ -27,10 +27,10 @@ from spl_batch.formats.vector_files import contains, read_polygons
 from spl_batch.lattice.tables import PointFlag, PointTable
 from spl_batch.lattice.tiles import (
     Bounds,
+    BoxIndex,
     CellId,
     cell_bounds,
     grow,
-    overlap,
     quanta,
     whole_cells,
 )
@@ -53,7 +53,8 @@ class Terrain:
     def __init__(self, args: Mapping[str, Any], context: Context) -> None:
         self._context = context
         receipts = (read_receipt(context.store, "surface", n) for n in args["labels"]["surface"])
-        self._cores = {one.name: Bounds(*one.facts["core"]) for one in receipts if one is not None}
+        cores = {one.name: Bounds(*one.facts["core"]) for one in receipts if one is not None}
+        self._cores = BoxIndex(cores)
 
     def heights_above(self, tile: CellId, table: PointTable) -> NDArray[np.float32]:
         """Heights of a tile's points above the terrain, (n,) in the delivered unit; NaN at voids.
@@ -65,7 +66,7 @@ class Terrain:
         reach = grow(cell_bounds(tile, quanta(workflow.tiling.tile_m)), pixel)
         bounds = whole_cells(reach, pixel)
         heights = np.full(shape_of(bounds, pixel), NODATA, np.float32)
-        cells = [name for name, core in self._cores.items() if overlap(core, bounds)]
+        cells = self._cores.overlapping(bounds)
         for row, col, block in stored_blocks(self._context.store, "dtm", cells, bounds):
             heights[row : row + block.shape[0], col : col + block.shape[1]] = block
         corner_m = bounds.xmin * QUANTUM_M, bounds.ymax * QUANTUM_M
