@@ -35,7 +35,8 @@ def nearest_sets(
     found = np.zeros(len(xyz), dtype=np.int32)
     tree = build(xyz)
     if len(xyz):
-        _by_leaves(tree.points, tree.boxes, tree.depth, query, cap, rows, found)
+        edges = edges_of_leaves(tree)
+        _by_leaves(tree.points, tree.boxes, edges, tree.depth, query, cap, rows, found)
     return rows[query], found[query]
 
 
@@ -52,10 +53,10 @@ def spacings(
 
 
 @njit(nogil=True, cache=True)
-def _by_leaves(points, boxes, depth, query, cap, rows, found):  # type: ignore[no-untyped-def]
+def _by_leaves(points, boxes, edges, depth, query, cap, rows, found):  # type: ignore[no-untyped-def]
     """Neighbours of every query point, in tree order, so that the cache stays warm."""
     n, depth, k = np.uint64(points.shape[1]), np.uint64(depth), rows.shape[1]
-    leaves, chunk, edges = U1 << depth, np.uint64(CHUNK), edges_of_leaves(boxes, depth)
+    leaves, chunk = U1 << depth, np.uint64(CHUNK)
     room = CHUNK * LEAF
     asked, others = np.empty(room, np.bool_), np.empty((room, k), np.int32)
     count, last, few = np.empty(room, np.int64), np.empty(room), np.empty(room)

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import PointTable
 from spl_batch.numerics.compiled import njit
-from spl_batch.numerics.sorting import first_above
 
 
 def run_starts(*keys: NDArray[np.generic]) -> NDArray[np.int64]:
@@ -123,10 +122,9 @@ def blind_behind(
             blind_m[i] = gap
 
 
-@njit()
 def interval_rows(
-    shot: NDArray[np.int64], length: int, interval: NDArray[np.int64], row: NDArray[np.int64]
-) -> None:
+    shot: NDArray[np.int64], length: int, interval: NDArray[np.int64]
+) -> NDArray[np.int64]:
     """Row of the interval that each shot lies in, or of the nearest one before it.
 
     Parameters
@@ -134,18 +132,16 @@ def interval_rows(
     shot : (n,) int64
         Shot numbers, in any order; quick where neighbours are of one shot.
     interval : (m,) int64
-        Numbers of the intervals, increasing, at least one.
-    row : (n,) int64
-        Filled; 0 for what lies before all of them.
+        Numbers of the intervals, increasing.
+
+    Returns
+    -------
+    (n,) int64
+        0 for what lies before all of them.
     """
-    at = np.int64(0)
-    for i in range(len(shot)):
-        if i == 0 or shot[i] != shot[i - 1]:
-            number = shot[i] // length
-            here = interval[at] <= number and (at + 1 == len(interval) or number < interval[at + 1])
-            if not here:
-                at = np.int64(max(first_above(interval, number) - 1, 0))
-        row[i] = at
+    start = run_starts(shot)
+    row = np.searchsorted(interval, shot[start[:-1]] // length, side="right") - 1
+    return np.repeat(np.maximum(row, 0), np.diff(start))
 
 
 @njit()

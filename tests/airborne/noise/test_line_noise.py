@@ -313,10 +313,9 @@ def test_shots_find_their_interval_or_the_one_before(
     shots: list[int], numbers: set[int], length: int
 ) -> None:
     shot, interval = np.array(shots, np.int64), np.array(sorted(numbers), np.int64)
-    row = np.full(len(shot), -1)
-    interval_rows(shot, length, interval, row)
-    expected = np.searchsorted(interval, shot // length, side="right") - 1
-    np.testing.assert_array_equal(row, np.maximum(expected, 0))
+    row = interval_rows(shot, length, interval)
+    before = ([k for k, number in enumerate(interval) if number <= s // length] for s in shots)
+    assert row.tolist() == [max(rows, default=0) for rows in before]
 
 
 @settings(deadline=None)

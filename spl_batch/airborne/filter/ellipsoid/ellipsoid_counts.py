@@ -168,8 +168,8 @@ def count_inside(
         limit = np.broadcast_to(np.asarray(alpha, dtype=np.float64), (len(xyz),))
         limit = np.ascontiguousarray(limit)
         _count_all(
-            *tree, query, density, float(unit) ** 3, shape, limit, at_most, spacing, rule, ratio2,
-            tie, count, expected, tail,
+            *tree, edges_of_leaves(tree), query, density, float(unit) ** 3, shape, limit, at_most,
+            spacing, rule, ratio2, tie, count, expected, tail,
         )  # fmt: skip
     return count, expected, tail
 
@@ -265,12 +265,11 @@ def _neighbours(  # type: ignore[no-untyped-def]
 
 @njit()
 def _count_all(  # type: ignore[no-untyped-def]
-    points, boxes, depth, query, density, volume, shape, alpha, at_most, space, rule, ratio2, tie,
-    count, expected, tail,
+    points, boxes, depth, edges, query, density, volume, shape, alpha, at_most, space, rule,
+    ratio2, tie, count, expected, tail,
 ):  # fmt: skip
     """Every query point in tree order, so that the cache stays warm."""
     n, depth = np.uint64(points.shape[1]), np.uint64(depth)
-    edges = edges_of_leaves(boxes, depth)
     leaves, chunk = U1 << depth, np.uint64(CHUNK)
     room = min(chunk, leaves) * np.uint64(LEAF)
     others = np.empty((room, shape.neighbours), dtype=np.int32)
@@ -287,19 +286,9 @@ def _count_all(  # type: ignore[no-untyped-def]
             asked[at], noise[at] = query[row], density[row] / volume
             level[at] = min(alpha[row], at_most)
         _neighbours(
-            points,
-            boxes,
-            edges,
-            depth,
-            (begin, end),
-            asked,
-            shape,
-            space,
-            rule,
-            others,
-            found,
+            points, boxes, edges, depth, (begin, end), asked, shape, space, rule, others, found,
             last,
-        )
+        )  # fmt: skip
         _count_some(
             points, boxes, depth, (low, high), asked, noise, shape, level, space, rule, ratio2,
             tie, others, found, last, counted, mean, score,
