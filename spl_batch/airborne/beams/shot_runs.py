@@ -144,7 +144,6 @@ def interval_rows(
     return np.repeat(np.maximum(row, 0), np.diff(start))
 
 
-@njit()
 def share_out(
     shot: NDArray[np.int64],
     time: NDArray[np.float64],
@@ -153,9 +152,7 @@ def share_out(
     row: NDArray[np.int64],
     first: NDArray[np.int64],
     last: NDArray[np.int64],
-    fired: NDArray[np.int64],
-    seen: NDArray[np.int64],
-) -> None:
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Shots fired and beamlets seen in the window of each seen beamlet.
 
     Parameters
@@ -170,20 +167,23 @@ def share_out(
         From :func:`interval_rows`.
     first, last : (m,) int64
         First and last shot that was fired of each interval, from its beginning.
+
+    Returns
+    -------
     fired, seen : (n,) int64
-        Filled.
+        Shots and beamlets [count].
     """
-    begin = 0
-    while begin < len(shot):
-        window = shot[begin] // window_shots
-        end, times = begin, 0
-        while end < len(shot) and shot[end] // window_shots == window:
-            times += end == begin or time[end] != time[end - 1]
-            end += 1
-        start = window * window_shots - shot[begin] // interval_shots * interval_shots
-        low = max(start, first[row[begin]])
-        high = min(start + window_shots - 1, last[row[begin]])
-        for i in range(begin, end):
-            # No fewer were fired than are seen.
-            fired[i], seen[i] = max(high - low + 1, times), end - begin
-        begin = end
+    window = shot // window_shots
+    starts = run_starts(window)
+    begin, seen = starts[:-1], np.diff(starts)
+    if not len(begin):
+        return seen, seen
+    changes = np.ones(len(shot), np.int64)
+    changes[1:] = time[1:] != time[:-1]
+    changes[begin] = 1
+    start = window[begin] * window_shots - shot[begin] // interval_shots * interval_shots
+    low = np.maximum(start, first[row[begin]])
+    high = np.minimum(start + window_shots - 1, last[row[begin]])
+    # No fewer were fired than are seen.
+    fired = np.maximum(high - low + 1, np.add.reduceat(changes, begin))
+    return np.repeat(fired, seen), np.repeat(seen, seen)

@@ -59,12 +59,8 @@ def cover(
         x = math.floor((point[0] + t * direction[0] + half) * (4.0 / edge))
         y = math.floor((point[1] + t * direction[1] + half) * (4.0 / edge))
         of_voxel = squares[voxel[0] + x // 4, voxel[1] + y // 4, voxel[2] + layer]
-        _count(of_voxel, x % 4 * 4 + y % 4, share)
-
-
-@njit()
-def _count(counts, at, share):  # type: ignore[no-untyped-def]
-    counts[at] = np.uint16(min(np.int64(counts[at]) + share, MOST))
+        at = x % 4 * 4 + y % 4
+        of_voxel[at] = np.uint16(min(np.int64(of_voxel[at]) + share, MOST))
 
 
 @njit()
@@ -148,7 +144,8 @@ def deposit_steep(
             amounts[sphere[0, layer]] += adds[0, layer]
             amounts[sphere[1, layer]] += adds[1, layer]
         for layer in range(layers):
-            _count(counts, square[layer], shared)
+            held = np.int64(counts[square[layer]])
+            counts[square[layer]] = np.uint16(min(held + shared, MOST))
 
 
 @njit()

@@ -331,9 +331,8 @@ def test_windows_count_the_shots_fired_and_the_beamlets_seen(
     shot, late = np.array(sorted(beamlets), np.int64).T.copy()
     time = shot + 0.25 * late
     low, high = np.sort(np.array(ends).reshape(2, 7), axis=0)
-    fired, seen = np.empty((2, len(shot)), np.int64)
     row = shot // 10 + 3
-    share_out(shot, time, window, 10, row, low, high, fired, seen)
+    fired, seen = share_out(shot, time, window, 10, row, low, high)
     for i in range(len(shot)):
         mine = shot // window == shot[i] // window
         start = shot[i] // window * window - shot[i] // 10 * 10

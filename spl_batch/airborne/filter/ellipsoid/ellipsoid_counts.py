@@ -28,9 +28,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.filter.ellipsoid.ellipsoid_shape import (
     Shape,
-    covariance,
     fit,
-    half_extents,
     lone_body,
     no_bodies,
     offsets,
@@ -188,21 +186,15 @@ def _flags(near, member, found, quadrics):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def _spacings(near, member, found, others, at, space):  # type: ignore[no-untyped-def]
-    """Spacings of the neighbours behind their flags; whether any inside is unknown."""
+def _spacings(points, boxes, depth, near, member, found, others, at, space, rule, scratch):  # type: ignore[no-untyped-def]
+    """Spacings of the neighbours behind their flags; those of neighbours inside are found out."""
     for i in range(found):
         near[member, U4, i] = space[np.uint64(others[at, i])]
     end, unknown = np.uint64(found), U0
     for i in range(U0, end, UL):
         inside = (load(near, (member, U3, i)) < spread(1.0)) & (ascending(i) < spread(end))
         unknown += number(inside & (load(near, (member, U4, i)) < spread(0.0)))
-    return unknown > U0
-
-
-@njit()
-def _learn(points, boxes, depth, near, member, found, others, at, space, rule, scratch):  # type: ignore[no-untyped-def]
-    """Find out the spacings of the neighbours inside."""
-    for i in range(found):
+    for i in range(found if unknown > U0 else 0):
         if near[member, U3, i] < 1.0 and near[member, U4, i] < 0.0:
             other = np.uint64(others[at, i])
             if space[other] < 0.0:
@@ -318,8 +310,7 @@ def _count_some(  # type: ignore[no-untyped-def]  # noqa: C901
     for last_slot in range(slots[0], slots[1]):
         at = last_slot - slots[0]
         if asked[at]:
-            offsets(points, last_slot, others, at, found[at], near, held)
-            covariance(near, held, found[at], bodies.moments, held)
+            offsets(points, last_slot, others, at, found[at], near, held, bodies.moments)
             bodies.found[held], members[held] = found[at], last_slot
             held += U1
         # Eight are shaped at a time.
@@ -340,17 +331,13 @@ def _count_some(  # type: ignore[no-untyped-def]  # noqa: C901
                 else:
                     stop, least = int(level), 1.0
             _flags(near, member, found[at], bodies.quadrics)
-            if _spacings(near, member, found[at], others, at, space):
-                _learn(
-                    points, boxes, depth, near, member, found[at], others, at, space, rule, spare
-                )
+            _spacings(points, boxes, depth, near, member, found[at], others, at, space, rule, spare)
             inside = _among(near, member, found[at], space[slot], ratio2, outer)
             reach = float(shape.neighbour_cap)
             if found[at] == shape.neighbours:
                 reach = math.sqrt(last[at])
             if inside < stop and bodies.axes[U0, member] > reach:
-                lone_body(bodies, member, quadric, vectors, axes)
-                half_extents(vectors, axes, half)
+                lone_body(bodies, member, quadric, vectors, axes, half)
                 inside = walk(
                     points, boxes, depth, leaf_of(slot, depth, n), slot, quadric, vectors, axes,
                     half, stop, stack, space, rule, ratio2, spare, outer,

@@ -57,12 +57,16 @@ def shape_of(settings: FilterSettings, neighbours: int, radius_m: float) -> Shap
 
 
 @njit(fastmath={"reassoc"})
-def covariance(near, member, found, moments, column):  # type: ignore[no-untyped-def]
-    """Covariance of neighbours; the sums are whole numbers, in any order.
+def offsets(points, slot, others, at, found, near, member, moments):  # type: ignore[no-untyped-def]
+    """Offsets of a slot's neighbours, and their covariance; sums of whole numbers, in any order.
 
-    ``near`` (m, 3, k) has the offsets of the neighbours of some members, a column of ``moments``
-    (6, m) receives xx, xy, xz, yy, yz, zz.
+    ``others``: slots of the neighbours, in row ``at``. Of a member, ``near`` (m, 3, k) receives the
+    offsets [quanta], and ``moments`` (6, m) xx, xy, xz, yy, yz, zz.
     """
+    for axis in range(U3):
+        own = np.float64(points[axis, slot])
+        for i in range(found):
+            near[member, axis, i] = points[axis, np.uint64(others[at, i])] - own
     sx = sy = sz = 0.0
     sxx = sxy = sxz = syy = syz = szz = 0.0
     for i in range(found):
@@ -78,34 +82,12 @@ def covariance(near, member, found, moments, column):  # type: ignore[no-untyped
         szz += dz * dz
     n = np.float64(found) if found > 0 else 1.0
     scale = 1.0 / (n * n)
-    moments[0, column] = (n * sxx - sx * sx) * scale
-    moments[1, column] = (n * sxy - sx * sy) * scale
-    moments[2, column] = (n * sxz - sx * sz) * scale
-    moments[3, column] = (n * syy - sy * sy) * scale
-    moments[4, column] = (n * syz - sy * sz) * scale
-    moments[5, column] = (n * szz - sz * sz) * scale
-
-
-@njit()
-def _axes(values, shape, axes, member):  # type: ignore[no-untyped-def]
-    """Semi-axes (3, m) of a member from eigenvalues [W18 Eq. 3]; returns the volume.
-
-    Uncapped it is the sphere's to the last bit, so points share a critical count.
-    """
-    floor = shape.floor * shape.floor
-    product = 1.0
-    for i in range(3):
-        value = max(values[i, member], floor)
-        axes[i, member] = value if shape.power == 1.0 else value**shape.power
-        product *= axes[i, member]
-    scale = shape.radius / np.cbrt(product)
-    volume = 4.0 / 3.0 * math.pi * shape.radius**3
-    for i in range(3):
-        axes[i, member] *= scale
-        if axes[i, member] > shape.axis_cap:
-            volume *= shape.axis_cap / axes[i, member]
-            axes[i, member] = shape.axis_cap
-    return volume
+    moments[0, member] = (n * sxx - sx * sx) * scale
+    moments[1, member] = (n * sxy - sx * sy) * scale
+    moments[2, member] = (n * sxz - sx * sz) * scale
+    moments[3, member] = (n * syy - sy * sy) * scale
+    moments[4, member] = (n * syz - sy * sz) * scale
+    moments[5, member] = (n * szz - sz * sz) * scale
 
 
 @njit()
@@ -135,16 +117,6 @@ def flag(q, dx, dy, dz):  # type: ignore[no-untyped-def]
         + q[5] * dz * dz
         + 2.0 * (q[1] * dx * dy + q[2] * dx * dz + q[4] * dy * dz)
     )
-
-
-@njit()
-def half_extents(vectors, axes, half):  # type: ignore[no-untyped-def]
-    """Half-extents of the ellipsoid's bounding box, rounded up."""
-    for axis in range(3):
-        total = 0.0
-        for i in range(3):
-            total += (axes[i] * vectors[i, axis]) ** 2
-        half[axis] = math.sqrt(total) + 1.0
 
 
 class Bodies(NamedTuple):
@@ -179,6 +151,7 @@ def no_bodies():  # type: ignore[no-untyped-def]
 def fit(bodies, shape):  # type: ignore[no-untyped-def]
     """Ellipsoids of eight points by how many neighbours they have, and by their covariance."""
     found, moments, quadrics, values, axes, vectors, volume, matrix, value, rows = bodies
+    floor = shape.floor * shape.floor
     for member in range(LANES):
         for i in range(6):
             matrix[i] = moments[i, member]
@@ -188,25 +161,37 @@ def fit(bodies, shape):  # type: ignore[no-untyped-def]
             values[i, member] = 1.0 if lone else value[i]
             for j in range(3):
                 vectors[3 * i + j, member] = (1.0 if i == j else 0.0) if lone else rows[i, j]
-        volume[member] = _axes(values, shape, axes, member)
+        # Semi-axes [W18 Eq. 3].
+        product = 1.0
+        for i in range(3):
+            size = max(values[i, member], floor)
+            axes[i, member] = size if shape.power == 1.0 else size**shape.power
+            product *= axes[i, member]
+        scale = shape.radius / np.cbrt(product)
+        # Uncapped it is the sphere's to the last bit, so points share a critical count.
+        volume[member] = 4.0 / 3.0 * math.pi * shape.radius**3
+        for i in range(3):
+            axes[i, member] *= scale
+            if axes[i, member] > shape.axis_cap:
+                volume[member] *= shape.axis_cap / axes[i, member]
+                axes[i, member] = shape.axis_cap
     _quadrics(vectors, axes, quadrics)
 
 
 @njit()
-def lone_body(bodies, member, quadric, vectors, axes):  # type: ignore[no-untyped-def]
-    """One of them as arrays of its own: (6,), (3, 3) by rows, (3,)."""
+def lone_body(bodies, member, quadric, vectors, axes, half):  # type: ignore[no-untyped-def]
+    """One of them as arrays of its own: (6,), (3, 3) by rows, (3,).
+
+    ``half`` (3,): half-extents of its bounding box, rounded up.
+    """
     for i in range(3):
         axes[i] = bodies.axes[i, member]
         for j in range(3):
             vectors[i, j] = bodies.vectors[3 * i + j, member]
     for i in range(6):
         quadric[i] = bodies.quadrics[i, member]
-
-
-@njit(inline="always")
-def offsets(points, slot, others, at, found, near, member):  # type: ignore[no-untyped-def]
-    """Fill in the offsets of a slot's neighbours, row ``at`` of ``others`` [quanta]."""
-    for axis in range(U3):
-        own = np.float64(points[axis, slot])
-        for i in range(found):
-            near[member, axis, i] = points[axis, np.uint64(others[at, i])] - own
+    for axis in range(3):
+        total = 0.0
+        for i in range(3):
+            total += (axes[i] * vectors[i, axis]) ** 2
+        half[axis] = math.sqrt(total) + 1.0
