@@ -48,7 +48,8 @@ def spacings(
     out = np.full(tree.points.shape[1], np.nan)
     wanted = np.ones(len(out), np.bool_) if asked is None else asked
     if len(out):
-        _spacings(tree.points, tree.boxes, tree.depth, Spacing(neighbours, cap), wanted, out)
+        rule, room = Spacing(neighbours, cap), search_room(neighbours + 1)
+        _spacings(tree.points, tree.boxes, tree.depth, rule, wanted, room, out)
     return out
 
 
@@ -78,9 +79,9 @@ def _by_leaves(points, boxes, edges, depth, query, cap, rows, found):  # type: i
 
 
 @njit(nogil=True, cache=True)
-def _spacings(points, boxes, depth, rule, asked, out):  # type: ignore[no-untyped-def]
+def _spacings(points, boxes, depth, rule, asked, scratch, out):  # type: ignore[no-untyped-def]
     """Points in tree order, so that the cache stays warm."""
-    depth, scratch = np.uint64(depth), search_room(rule.neighbours + 1)
+    depth = np.uint64(depth)
     space = np.empty(points.shape[1])
     for slot in range(np.uint64(points.shape[1])):
         if asked[points[U3, slot]]:

@@ -147,6 +147,16 @@ def _observe(w, channel, lag, distance, spread, square, rules, edges, counts):  
 
 
 @njit()
+def next_return(i: int, w: NDArray[np.float64], channel: NDArray[np.uint8]) -> int:
+    """The next return of a beamlet behind one of it; -1 for none."""
+    found = -1
+    for j in range(len(w)):
+        if channel[j] == channel[i] and w[j] > w[i] and (found < 0 or w[j] < w[found]):
+            found = j
+    return found
+
+
+@njit()
 def _square(plane):  # type: ignore[no-untyped-def]
     """Factor to the spread of a plane along the beam that leaves what ranging noise does.
 
@@ -155,16 +165,6 @@ def _square(plane):  # type: ignore[no-untyped-def]
     """
     upright = 1.0 / math.sqrt(1.0 + plane[1] ** 2 + plane[2] ** 2)
     return min(upright / TILTED, 1.0)
-
-
-@njit()
-def next_return(i: int, w: NDArray[np.float64], channel: NDArray[np.uint8]) -> int:
-    """The next return of a beamlet behind one of it; -1 for none."""
-    found = -1
-    for j in range(len(w)):
-        if channel[j] == channel[i] and w[j] > w[i] and (found < 0 or w[j] < w[found]):
-            found = j
-    return found
 
 
 @njit()

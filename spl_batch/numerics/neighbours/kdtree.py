@@ -106,8 +106,7 @@ def _sort_in(nearest, d2):  # type: ignore[no-untyped-def]
     nearest[j] = d2
 
 
-@njit()
-def search_room(count):  # type: ignore[no-untyped-def]
+def search_room(count: int) -> tuple[NDArray[Any], ...]:
     """Scratch of :func:`nth_distance`: so many distances, branches put off, part of a leaf."""
     return np.empty(count), np.empty(64, np.uint64), np.empty(LANES), np.empty(LANES, np.uint64)
 

@@ -258,29 +258,17 @@ def _insert(
             outer[2], outer[3] = across[t, (edge + 1) % 3], across[t, (edge + 2) % 3]
             made[0], made[1], made[2], made[3] = t, n, used, used + 1
             count, used = 4, used + 2
-        _fan(corner, across, p, rim[:count], outer[:count], made[:count])
+        # Triangles from p, their last corner, to each edge of the rim.
         for k in range(count):
-            stack[k] = made[k]
+            beyond, new = int(outer[k]), made[k]
+            # Across from the edge that ends at a corner of the rim stands the next one.
+            across[beyond, (_slot(corner, beyond, int(rim[k])) + 1) % 3] = new
+            corner[new, 0], corner[new, 1], corner[new, 2] = rim[k], rim[(k + 1) % count], p
+            across[new, 0], across[new, 1] = made[(k + 1) % count], made[(k + count - 1) % count]
+            across[new, 2] = beyond
+            stack[k] = new
         last = _turn_edges(xy, x, y, corner, across, stack, count)
     state[0], state[1] = used, last
-
-
-@njit()
-def _fan(
-    corner: NDArray[np.int32], across: NDArray[np.int32], p: int, rim: NDArray[np.int32],
-    outer: NDArray[np.int32], made: NDArray[np.int32],
-) -> None:  # fmt: skip
-    """Triangles from p, their last corner, to each edge of the rim around it."""
-    count = len(rim)
-    for k in range(count):
-        beyond, end = int(outer[k]), int(rim[k])
-        # Across from the edge that ends there stands the next corner.
-        across[beyond, (_slot(corner, beyond, end) + 1) % 3] = made[k]
-        corner[made[k], 0], corner[made[k], 1] = rim[k], rim[(k + 1) % count]
-        corner[made[k], 2] = p
-        across[made[k], 0] = made[(k + 1) % count]
-        across[made[k], 1] = made[(k + count - 1) % count]
-        across[made[k], 2] = outer[k]
 
 
 @njit()

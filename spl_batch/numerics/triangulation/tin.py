@@ -144,18 +144,10 @@ def locate_one(
             return OUTSIDE, t
         t = beyond
     for t in range(len(facets)):  # a walk that rounding kept going round: look everywhere
-        if _holds(xyz, facets, t, px, py):
+        one, two, three = _weights(xyz, facets, t, px, py)
+        if min(one, two, three) >= -_EDGE_SLACK * (one + two + three):
             return t, t
     return OUTSIDE, start
-
-
-@njit(inline="always")
-def _holds(
-    xyz: NDArray[np.float64], facets: NDArray[np.int32], t: int, px: float, py: float
-) -> bool:
-    """Whether a triangle or its edges hold p."""
-    one, two, three = _weights(xyz, facets, t, px, py)
-    return min(one, two, three) >= -_EDGE_SLACK * (one + two + three)
 
 
 @njit(inline="always")
@@ -208,7 +200,10 @@ def _first_around(
             for m in range(3):
                 if neighbours[here, m] != came and weights[m] <= near and towards in (m, -1):
                     beyond = neighbours[here, m]
-            if beyond < 0 or beyond == found or not _holds(xyz, facets, beyond, px, py):
+            if beyond < 0 or beyond == found:
+                break
+            one, two, three = _weights(xyz, facets, beyond, px, py)
+            if min(one, two, three) < -_EDGE_SLACK * (one + two + three):
                 break
             first = min(first, beyond)
             came, here, towards = here, beyond, -1

@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.filter.ellipsoid.ellipsoid_shape import (
+    Bodies,  # noqa: F401 - named in signatures.json
     Shape,
     fit,
     lone_body,
@@ -167,7 +168,8 @@ def count_inside(
         limit = np.ascontiguousarray(limit)
         _count_all(
             *tree, edges_of_leaves(tree), query, density, float(unit) ** 3, shape, limit, at_most,
-            spacing, rule, ratio2, tie, count, expected, tail,
+            spacing, rule, ratio2, tie, no_bodies(), search_room(rule.neighbours + 1), count,
+            expected, tail,
         )  # fmt: skip
     return count, expected, tail
 
@@ -258,7 +260,7 @@ def _neighbours(  # type: ignore[no-untyped-def]
 @njit()
 def _count_all(  # type: ignore[no-untyped-def]
     points, boxes, depth, edges, query, density, volume, shape, alpha, at_most, space, rule,
-    ratio2, tie, count, expected, tail,
+    ratio2, tie, bodies, spare, count, expected, tail,
 ):  # fmt: skip
     """Every query point in tree order, so that the cache stays warm."""
     n, depth = np.uint64(points.shape[1]), np.uint64(depth)
@@ -283,7 +285,7 @@ def _count_all(  # type: ignore[no-untyped-def]
         )  # fmt: skip
         _count_some(
             points, boxes, depth, (low, high), asked, noise, shape, level, space, rule, ratio2,
-            tie, others, found, last, counted, mean, score,
+            tie, bodies, spare, others, found, last, counted, mean, score,
         )  # fmt: skip
         for at in range(high - low):
             if asked[at]:
@@ -295,15 +297,14 @@ def _count_all(  # type: ignore[no-untyped-def]
 
 @njit()
 def _count_some(  # type: ignore[no-untyped-def]  # noqa: C901
-    points, boxes, depth, slots, asked, density, shape, alpha, space, rule, ratio2, tie, others,
-    found, last, count, expected, tail,
+    points, boxes, depth, slots, asked, density, shape, alpha, space, rule, ratio2, tie, bodies,
+    spare, others, found, last, count, expected, tail,
 ):  # fmt: skip
     """Points asked for of a range of slots; all arrays but the tree's start at the first."""
     n = np.uint64(points.shape[1])
     near = np.zeros((LANES, 5, shape.neighbours + LANES))
-    bodies, members, held = no_bodies(), np.empty(LANES, np.uint64), U0
-    stack, spare = np.empty(64, dtype=np.uint64), search_room(rule.neighbours + 1)
-    quadric, vectors = np.empty(6), np.empty((3, 3))
+    members, held = np.empty(LANES, np.uint64), U0
+    stack, quadric, vectors = np.empty(64, np.uint64), np.empty(6), np.empty((3, 3))
     axes, half, outer = np.empty(3), np.empty(3), np.empty(1)
     known, level, stop, least, log_mean = -1.0, -1.0, 1, 1.0, 0.0
     logs = log_factorials(LOGS)

@@ -91,24 +91,6 @@ def offsets(points, slot, others, at, found, near, member, moments):  # type: ig
 
 
 @njit()
-def _quadrics(vectors, axes, quadrics):  # type: ignore[no-untyped-def]
-    """Upper triangles (6, 8) of the matrices Q with flag = d' Q d [W18 Eq. 4-5]."""
-    q0 = q1 = q2 = q3 = q4 = q5 = spread(0.0)
-    for i in range(U3):
-        axis, x = load(axes, (i, U0)), load(vectors, (U3 * i, U0))
-        y, z = load(vectors, (U3 * i + U1, U0)), load(vectors, (U3 * i + U2, U0))
-        weight = spread(1.0) / (axis * axis)
-        q0, q1, q2 = q0 + weight * x * x, q1 + weight * x * y, q2 + weight * x * z
-        q3, q4, q5 = q3 + weight * y * y, q4 + weight * y * z, q5 + weight * z * z
-    store(quadrics, (U0, U0), q0)
-    store(quadrics, (U1, U0), q1)
-    store(quadrics, (U2, U0), q2)
-    store(quadrics, (U3, U0), q3)
-    store(quadrics, (U4, U0), q4)
-    store(quadrics, (U5, U0), q5)
-
-
-@njit()
 def flag(q, dx, dy, dz):  # type: ignore[no-untyped-def]
     """[W18 Eq. 5]: below 1 inside."""
     return (
@@ -137,8 +119,7 @@ class Bodies(NamedTuple):
     rows: NDArray[np.float64]
 
 
-@njit()
-def no_bodies():  # type: ignore[no-untyped-def]
+def no_bodies() -> Bodies:
     """Room for :class:`Bodies`."""
     return Bodies(
         np.zeros(LANES, np.int64), np.zeros((6, LANES)), np.zeros((6, LANES)),
@@ -175,7 +156,20 @@ def fit(bodies, shape):  # type: ignore[no-untyped-def]
             if axes[i, member] > shape.axis_cap:
                 volume[member] *= shape.axis_cap / axes[i, member]
                 axes[i, member] = shape.axis_cap
-    _quadrics(vectors, axes, quadrics)
+    # Upper triangles of the matrices Q with flag = d' Q d [W18 Eq. 4-5].
+    q0 = q1 = q2 = q3 = q4 = q5 = spread(0.0)
+    for k in range(U3):
+        axis, x = load(axes, (k, U0)), load(vectors, (U3 * k, U0))
+        y, z = load(vectors, (U3 * k + U1, U0)), load(vectors, (U3 * k + U2, U0))
+        weight = spread(1.0) / (axis * axis)
+        q0, q1, q2 = q0 + weight * x * x, q1 + weight * x * y, q2 + weight * x * z
+        q3, q4, q5 = q3 + weight * y * y, q4 + weight * y * z, q5 + weight * z * z
+    store(quadrics, (U0, U0), q0)
+    store(quadrics, (U1, U0), q1)
+    store(quadrics, (U2, U0), q2)
+    store(quadrics, (U3, U0), q3)
+    store(quadrics, (U4, U0), q4)
+    store(quadrics, (U5, U0), q5)
 
 
 @njit()
