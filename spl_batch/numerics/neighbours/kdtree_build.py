@@ -166,27 +166,10 @@ def _select(xy, zr, spare_xy, spare_zr, low, high, middle, axis, sample):  # typ
 
 
 @njit()
-def _extent(xy, zr, low, high, box):  # type: ignore[no-untyped-def]
-    """Smallest x, y, z of some slots, and the largest."""
-    none, full = spread(U0), spread(FULL)
-    x0, y0, z0, x1, y1, z1 = full, full, full, none, none, none
-    for slot in range(low, high, UL):
-        inside = ascending(slot) < spread(high)
-        first, second = load(xy, slot), load(zr, slot)
-        smallest, largest = where(inside, first, full), where(inside, first, none)
-        x0, x1 = lesser(x0, smallest), greater(x1, largest)
-        y0, y1 = lesser(y0, smallest & spread(LOW)), greater(y1, largest & spread(LOW))
-        z0 = lesser(z0, where(inside, second, full))
-        z1 = greater(z1, where(inside, second, none))
-    box[0], box[1], box[2] = least(x0) >> HALF, least(y0), least(z0) >> HALF
-    box[3], box[4], box[5] = greatest(x1) >> HALF, greatest(y1), greatest(z1) >> HALF
-
-
-@njit()
 def _divide_all(xy, zr, spare_xy, spare_zr, n, lowest, boxes, depth):  # type: ignore[no-untyped-def]
     """Split every node at its middle slot along its widest axis, depth first."""
     stack, sample = np.empty(64, dtype=np.int64), np.empty(SAMPLE, dtype=np.uint64)
-    box = np.empty(6, np.int64)
+    box, none, full = np.empty(6, np.int64), spread(U0), spread(FULL)
     stack[0] = 1
     top = 1
     while top > 0:
@@ -197,7 +180,17 @@ def _divide_all(xy, zr, spare_xy, spare_zr, n, lowest, boxes, depth):  # type: i
             level += 1
         j = node - (1 << level)
         low, high = np.uint64((j * n) >> level), np.uint64(((j + 1) * n) >> level)
-        _extent(xy, zr, low, high, box)
+        x0, y0, z0, x1, y1, z1 = full, full, full, none, none, none
+        for slot in range(low, high, UL):
+            inside = ascending(slot) < spread(high)
+            first, second = load(xy, slot), load(zr, slot)
+            smallest, largest = where(inside, first, full), where(inside, first, none)
+            x0, x1 = lesser(x0, smallest), greater(x1, largest)
+            y0, y1 = lesser(y0, smallest & spread(LOW)), greater(y1, largest & spread(LOW))
+            z0 = lesser(z0, where(inside, second, full))
+            z1 = greater(z1, where(inside, second, none))
+        box[0], box[1], box[2] = least(x0) >> HALF, least(y0), least(z0) >> HALF
+        box[3], box[4], box[5] = greatest(x1) >> HALF, greatest(y1), greatest(z1) >> HALF
         axis, width = 0, np.int64(-1)
         for a in range(3):
             boxes[node, a], boxes[node, a + 3] = box[a] + lowest[a], box[a + 3] + lowest[a]

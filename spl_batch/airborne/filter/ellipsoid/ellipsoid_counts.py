@@ -175,8 +175,13 @@ def count_inside(
 
 
 @njit()
-def _flags(near, member, found, quadrics):  # type: ignore[no-untyped-def]
-    """Flags of a member's neighbours as a row of ``near``, and of what lies behind them."""
+def _look_at(  # type: ignore[no-untyped-def]
+    points, boxes, depth, near, member, found, quadrics, others, at, space, rule, scratch
+):
+    """Flags and spacings of a member's neighbours as rows of ``near``.
+
+    Flags also of what lies behind them. Spacings of neighbours inside are found out.
+    """
     q0, q1, q2 = quadrics[U0, member], quadrics[U1, member], quadrics[U2, member]
     q3, q4, q5 = quadrics[U3, member], quadrics[U4, member], quadrics[U5, member]
     for i in range(U0, np.uint64(found), UL):
@@ -185,11 +190,6 @@ def _flags(near, member, found, quadrics):  # type: ignore[no-untyped-def]
         square = spread(q0) * dx * dx + spread(q3) * dy * dy + spread(q5) * dz * dz
         mixed = spread(q1) * dx * dy + spread(q2) * dx * dz + spread(q4) * dy * dz
         store(near, (member, U3, i), square + spread(2.0) * mixed)
-
-
-@njit()
-def _spacings(points, boxes, depth, near, member, found, others, at, space, rule, scratch):  # type: ignore[no-untyped-def]
-    """Spacings of the neighbours behind their flags; those of neighbours inside are found out."""
     for i in range(found):
         near[member, U4, i] = space[np.uint64(others[at, i])]
     end, unknown = np.uint64(found), U0
@@ -331,8 +331,10 @@ def _count_some(  # type: ignore[no-untyped-def]  # noqa: C901
                     stop, least = critical_by_logs(mean, level, stop, log_mean, logs)
                 else:
                     stop, least = int(level), 1.0
-            _flags(near, member, found[at], bodies.quadrics)
-            _spacings(points, boxes, depth, near, member, found[at], others, at, space, rule, spare)
+            _look_at(
+                points, boxes, depth, near, member, found[at], bodies.quadrics, others, at, space,
+                rule, spare,
+            )  # fmt: skip
             inside = _among(near, member, found[at], space[slot], ratio2, outer)
             reach = float(shape.neighbour_cap)
             if found[at] == shape.neighbours:
