@@ -174,14 +174,15 @@ def hard_surfaces(
         chosen = _on_planes(shots, u, v, w, candidate, grown, rules)
         grown = fit_surfaces(shots, chosen, u, v, w, rules)
     for shot in range(len(shots) - 1):
+        if not grown.trusted[shot] or grown.spread[shot] > spread_max[shot]:
+            continue
         count, low, high = 0, np.inf, -np.inf
         for row in range(shots[shot], shots[shot + 1]):
             if candidate[row]:
                 count, low, high = count + 1, min(low, w[row]), max(high, w[row])
         # Candidates that an even spread would give a surface.
         even = count * 2.0 * rules.below_m / max(high - low, 2.0 * rules.p68_max_m)
-        sharp = grown.trusted[shot] and grown.spread[shot] <= spread_max[shot]
-        if sharp and grown.size[shot] >= RETURNS_MIN + 2.0 * even:
+        if grown.size[shot] >= RETURNS_MIN + 2.0 * even:
             found.trusted[shot] = True
             for i in range(3):
                 found.plane[shot, i] = grown.plane[shot, i]

@@ -97,7 +97,7 @@ def leaf_of(slot, depth, n):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def _sort_in(nearest, d2):  # type: ignore[no-untyped-def]
+def sort_in(nearest, d2):  # type: ignore[no-untyped-def]
     """Put a squared distance in its place among the nearest; the last one goes."""
     j = len(nearest) - 1
     while j > 0 and nearest[j - 1] > d2:
@@ -164,7 +164,7 @@ def nth_distance(points, boxes, depth, node, x, y, z, limit, wide, least, room):
                 for k in range(number(some)):
                     if near_by[k] >= nearest[last] or wide[slots[k]] < least:
                         continue
-                    _sort_in(nearest, near_by[k])
+                    sort_in(nearest, near_by[k])
         if climb <= U1:
             return nearest[last]
         stack[0] = climb ^ U1
