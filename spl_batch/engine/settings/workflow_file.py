@@ -68,7 +68,7 @@ def workflow_content(path: Path, overrides: Sequence[str]) -> dict[str, Any]:
 
 
 def read_mapping(path: Path, otherwise: str) -> dict[str, Any]:
-    """Content of a YAML file that holds a mapping; ``otherwise``: what is said of another one.
+    """Content of a YAML file that holds a mapping; ``otherwise``: the fault of another one.
 
     WorkflowError if it cannot be read, is not YAML, names a key twice, or holds no mapping.
     """

@@ -146,7 +146,7 @@ class Graph:
             progress.found(step.stage, receipt)
         if work.left or work.ready:
             event = PhaseStarted(step.stage, step.name, work.left, work.ready, work.points)
-            progress.tell(event)
+            progress.notify(event)
         work.advance()
         self._open[step.name] = work
 
@@ -155,7 +155,7 @@ class Graph:
         if not found:
             one.missing.add(task.name)
         stage = one.step.stage
-        self.progress.tell(TaskSettled(stage, task.kind, task.name, task.points, found))
+        self.progress.notify(TaskSettled(stage, task.kind, task.name, task.points, found))
 
     def _hand_out(self) -> bool:
         """Hand out a batch of tasks, of the latest step that can; whether there was one."""

@@ -1,4 +1,4 @@
-"""Whether the files of a survey lie where files of one survey can lie, as far as headers tell."""
+"""Whether the files of a survey lie where files of one survey can lie, as far as headers show."""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
