@@ -72,7 +72,7 @@ def _shown(sign: str) -> str:
     return sign.encode("unicode_escape").decode("ascii")
 
 
-def brief(text: str, most: int) -> str:
+def shortened(text: str, most: int) -> str:
     """Text of at most so many characters: of a longer one its start and its end."""
     if len(text) <= most:
         return text
@@ -120,7 +120,7 @@ class InputError(SplBatchError, ValueError):
     def __init__(self, path: str, faults: str | Sequence[str]) -> None:
         self.path = plain(path)
         given = (faults,) if isinstance(faults, str) else tuple(faults)
-        self.faults = tuple(brief(plain(fault), FAULT_MAX) for fault in given)
+        self.faults = tuple(shortened(plain(fault), FAULT_MAX) for fault in given)
         super().__init__(f"{path}: {'; '.join(self.faults)}")
 
     def __reduce__(self) -> tuple[type["InputError"], tuple[str, tuple[str, ...]]]:

@@ -83,9 +83,9 @@ class Worklist:
 
         None where something is missing that it cannot be done without.
         """
-        shelves = {step: self._ledger.of(step) for step, _ in task.needs}
-        found = {need: shelves[need[0]].digest(need[1]) for need in task.needs
-                 if need[1] in shelves[need[0]]}  # fmt: skip
+        finished = {step: self._ledger.of(step) for step, _ in task.needs}
+        found = {need: finished[need[0]].digest(need[1]) for need in task.needs
+                 if need[1] in finished[need[0]]}  # fmt: skip
         open_ = [need for need in task.needs if need not in found and not self._is_over(need[0])]
         if open_:
             return Job(task, "", tuple(open_), found)

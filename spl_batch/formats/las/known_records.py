@@ -13,7 +13,7 @@ from laspy.vlrs.known import BaseKnownVLR
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
-from spl_batch.errors import brief, is_fault, one_line, plain
+from spl_batch.errors import is_fault, one_line, plain, shortened
 from spl_batch.formats.crs import (
     LIBLAS_KEY,
     WKT_KEY,
@@ -80,7 +80,7 @@ def header_crs(header: LasHeader) -> tuple[CRS | None, tuple[str, ...]]:
         odd = contradicted_unit(_keys(header)[0])
         return known or _liblas_crs(header), (odd,) if odd else ()
     except CRSError as error:
-        reason = brief(plain(" ".join(str(error).split())), _CRS_TEXT_MAX)
+        reason = shortened(plain(" ".join(str(error).split())), _CRS_TEXT_MAX)
         return None, (f"the CRS record is not understood ({reason}): name the CRS in survey.crs",)
 
 
