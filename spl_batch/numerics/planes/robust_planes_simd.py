@@ -68,7 +68,7 @@ _of_8, _of_16, _of_24, _of_32, _of_48, _of_64 = (
 
 @njit()
 def two_in_the_middle(values, size):  # type: ignore[no-untyped-def]
-    """The two that stand in the middle of as many values as :func:`_lengths` tells, by lane."""
+    """The two in the middle of as many values as the network of :func:`_lengths` sorts, by lane."""
     if size <= 16:
         return _of_8(values, U0) if size == 8 else _of_16(values, U0)
     if size <= 32:
