@@ -15,14 +15,12 @@ from numpy.typing import NDArray
 
 from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import PointTable
+from spl_batch.numerics.compiled import njit
 
 COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "return_number")
 
 _PULSE: Final = ("gps_time", "channel")
 """Columns that a pulse's returns share."""
-
-_BY_HEIGHT: Final = ("z", "x", "y", "return_number")
-"""Columns whose last row, in their order, is a pulse's highest return."""
 
 MOST_RETURNS: Final = 15
 """Returns of a pulse that LAS can number [count]; more are no pulse's [LAS 1.4 R15, 2.7]."""
@@ -48,13 +46,21 @@ def first_returns(table: PointTable) -> NDArray[np.bool_]:
     start = np.flatnonzero(opens)
     count = np.diff(start, append=n)
     known = (count <= MOST_RETURNS) & np.isfinite(time[start])
-    first[order[start[known & (count == 1)]]] = True
-    # The highest of several is the last in order of height; of equals, of these columns.
-    several = known & (count > 1)
-    rows, of_each = order[np.repeat(several, count)], count[several]
-    pulse = np.repeat(np.arange(len(of_each)), of_each)
-    by = lexicographic_order([pulse, *(table[name][rows] for name in _BY_HEIGHT)])
-    first[rows[by[np.cumsum(of_each) - 1]]] = True
+    z, x, y, number = (table[name] for name in ("z", "x", "y", "return_number"))
+    _mark_highest(order, start[known], count[known], z, x, y, number, first)
     apart = order[np.repeat(~known, count)]
     first[apart[table["return_number"][apart] <= 1]] = True
     return first
+
+
+@njit()
+def _mark_highest(order, start, count, z, x, y, number, first):  # type: ignore[no-untyped-def]
+    """Mark the highest return of each pulse; ``start``, ``count``: its place in ``order``."""
+    for k in range(len(start)):
+        high = order[start[k]]
+        for at in range(start[k] + 1, start[k] + count[k]):
+            row = order[at]
+            own = z[row], x[row], y[row], number[row]
+            if own >= (z[high], x[high], y[high], number[high]):
+                high = row
+        first[high] = True

@@ -56,7 +56,7 @@ from spl_batch.numerics.neighbours.kdtree import (
     search_room,
 )
 from spl_batch.numerics.neighbours.nearest import edges_of_leaves, neighbours_of_leaves
-from spl_batch.numerics.poisson import critical_by_logs, log_factorials, tail_by_logs
+from spl_batch.numerics.poisson import critical_by_logs, tail_by_logs
 from spl_batch.numerics.simd import (
     LANES,
     UL,
@@ -264,7 +264,9 @@ def _count_all(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Every query point in tree order, so that the cache stays warm."""
     n, depth = np.uint64(points.shape[1]), np.uint64(depth)
-    leaves, chunk = U1 << depth, np.uint64(CHUNK)
+    leaves, chunk, logs = U1 << depth, np.uint64(CHUNK), np.empty(LOGS)
+    for i in range(LOGS):
+        logs[i] = math.lgamma(i + 1.0)
     room = min(chunk, leaves) * np.uint64(LEAF)
     others = np.empty((room, shape.neighbours), dtype=np.int32)
     found, last = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.float64)
@@ -285,7 +287,7 @@ def _count_all(  # type: ignore[no-untyped-def]
         )  # fmt: skip
         _count_some(
             points, boxes, depth, (low, high), asked, noise, shape, level, space, rule, ratio2,
-            tie, bodies, spare, others, found, last, counted, mean, score,
+            tie, bodies, spare, logs, others, found, last, counted, mean, score,
         )  # fmt: skip
         for at in range(high - low):
             if asked[at]:
@@ -298,7 +300,7 @@ def _count_all(  # type: ignore[no-untyped-def]
 @njit()
 def _count_some(  # type: ignore[no-untyped-def]  # noqa: C901
     points, boxes, depth, slots, asked, density, shape, alpha, space, rule, ratio2, tie, bodies,
-    spare, others, found, last, count, expected, tail,
+    spare, logs, others, found, last, count, expected, tail,
 ):  # fmt: skip
     """Points asked for of a range of slots; all arrays but the tree's start at the first."""
     n = np.uint64(points.shape[1])
@@ -307,7 +309,6 @@ def _count_some(  # type: ignore[no-untyped-def]  # noqa: C901
     stack, quadric, vectors = np.empty(64, np.uint64), np.empty(6), np.empty((3, 3))
     axes, half, outer = np.empty(3), np.empty(3), np.empty(1)
     known, level, stop, least, log_mean = -1.0, -1.0, 1, 1.0, 0.0
-    logs = log_factorials(LOGS)
     for last_slot in range(slots[0], slots[1]):
         at = last_slot - slots[0]
         if asked[at]:
