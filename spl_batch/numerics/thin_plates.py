@@ -49,8 +49,8 @@ def plate_heights(points: Values, plate: Values, x: Values, y: Values) -> Values
     n = len(points)
     level = plate[n] + plate[n + 1] * x + plate[n + 2] * y
     # One after the other: how numpy sums depends on how many places there are.
-    sums = np.cumsum(np.vstack([level, plate[:n, np.newaxis] * _bending(points, x, y)]), axis=0)
-    heights: Values = sums[-1]
+    terms = np.vstack([level, plate[:n, np.newaxis] * _bending(points, x, y)])
+    heights: Values = np.cumsum(terms, axis=0, dtype=np.float64)[-1]
     return heights
 
 

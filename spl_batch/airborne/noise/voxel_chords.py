@@ -60,7 +60,8 @@ def cover(
         y = math.floor((point[1] + t * direction[1] + half) * (4.0 / edge))
         of_voxel = squares[voxel[0] + x // 4, voxel[1] + y // 4, voxel[2] + layer]
         at = x % 4 * 4 + y % 4
-        of_voxel[at] = np.uint16(min(np.int64(of_voxel[at]) + share, MOST))
+        held = np.int64(of_voxel[at]) + np.int64(share)
+        of_voxel[at] = np.uint16(min(held, np.int64(MOST)))
 
 
 def steepness(edge: float, radius: float) -> float:
@@ -174,8 +175,8 @@ def deposit_beamlets(
     ny, nz, 16), up to :data:`MOST`; see :func:`cover`.
     """
     least = steepness(edge, radius) if squares.size and not beamlets.size else np.inf
-    x, y, z = np.abs(direction).T
-    steep = z >= np.maximum(np.maximum(x, y), least)
+    x, y, z = (np.abs(direction[:, axis]) for axis in range(3))
+    steep = (z >= least) & (z >= x) & (z >= y)
     rows = voxel, point, direction, near, far, weight, edge, radius, amount, share, squares
     deposit_steep(np.flatnonzero(steep), *rows)
     last_shot = np.full(beamlets.shape, -1, np.int64)

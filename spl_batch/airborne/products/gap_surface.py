@@ -150,4 +150,5 @@ def _rim_around(node: NDArray[np.int64], blocks: Grid, window: int) -> Grid:
     rim = ~empty & ndimage.maximum_filter(empty, 2 * _RIM + 1, mode="constant")
     if near[:, :, 3].sum() < _CELLS * np.count_nonzero(~empty):
         rim[:] = False
-    return near[rim][:, :3] - (node[1], node[0], 0)
+    places: Grid = near[rim][:, :3] - (node[1], node[0], 0)
+    return places

@@ -44,7 +44,7 @@ def within_which(distance, size, wanted, spare, most):  # type: ignore[no-untype
     above ``most``; counts are taken for linear between the limits, as in a plane.
     """
     low, high = -1.0, most
-    below, enough = 0, np.int64(size)
+    below, enough = np.int64(0), np.int64(size)
     step, end = 0, np.uint64(size)
     while enough > wanted + spare and high - low > 1.0:
         step += 1

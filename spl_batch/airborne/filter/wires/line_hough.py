@@ -94,10 +94,10 @@ def tube_volume(reach: Float, least: float, step: Float) -> Float:
 def _middle(cells, most, turns, rows, lanes):  # type: ignore[no-untyped-def]
     """Centre of the first cell with the largest count and of its equals beside it [cells]."""
     # Stretches without one are passed in vectors.
-    begin, equal = U0, np.uint16(0)
-    while equal == 0:
+    begin, there = U0, np.uint16(0)
+    while there == 0:
         for i in range(begin, min(begin + STRETCH, np.uint64(turns * lanes))):
-            equal += np.uint16(cells[i] == most)
+            there += np.uint16(cells[i] == most)
         begin += STRETCH
     first = np.int64(begin - STRETCH)
     while cells[first] != most:
@@ -316,6 +316,6 @@ def _fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
                 if expected[at] > largest[min(most, len(largest) - 1)]:
                     continue
                 count[at] = most
-                around, up = _middle(cells, most, turns, levels + 2 * PAD, 4 * stride)
+                around, up = _middle(cells, np.uint16(most), turns, levels + 2 * PAD, 4 * stride)
                 azimuth[at] = around * step
                 slope[at] = (up - PAD) * step - slope_max
