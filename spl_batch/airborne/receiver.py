@@ -15,7 +15,6 @@ from spl_batch.airborne.catalogue.delivered_files import (
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.lines.comparison import (
     done_sentence,
-    left_out_warnings,
     offset_warnings,
     pairs_of,
     shifts_of,
@@ -214,9 +213,6 @@ def _check_cells(workflow: Workflow) -> None:
 
 def _swath_findings(step: Step, survey: Survey) -> Iterator[Finding]:
     """What is found of flightlines where they overlap."""
-    if step.name == "strip_patches":
-        cells = survey.of("strip_patches").items()
-        yield from left_out_warnings({name: r.facts.get("left_out", 0) for name, r in cells})
     if step.name == "strip_pairs":
         pairs = pairs_of(survey.of("strip_pairs").values())
         yield from offset_warnings(pairs, survey.workflow.survey.align)
