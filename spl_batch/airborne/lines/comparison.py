@@ -162,10 +162,10 @@ def offset_warnings(pairs: Sequence[StripPair], align: str = "none") -> Iterator
     ``align``: how flightlines were shifted before they were compared. It names the worst pair, as
     one flightline that lies off is off from all others; the report has all pairs.
     """
-    off = [(away, pair) for pair in pairs if (away := _away(pair)) > 0]
+    off = [pair for pair in pairs if _away(pair) > 0]
     if not off:
         return
-    _, pair = min(off, key=lambda found: (-found[0], found[1].first, found[1].second))
+    pair = max(off, key=_away)  # of equals the first by name
     values = {
         "pairs": len(off),
         "of": len(pairs),
