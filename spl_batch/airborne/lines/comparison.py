@@ -34,7 +34,7 @@ from spl_batch.errors import grouped
 from spl_batch.formats.rasters.parts import RasterPart
 from spl_batch.formats.units import Units
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
-from spl_batch.lattice.tables import EXCLUDED, PointTable
+from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import quanta
 
 MAP_CELLS = 500
@@ -47,7 +47,7 @@ NEXT_TO: Final = 0.1
 def strip_patches(args: Mapping[str, Any], context: Context) -> Produced:
     """Find planar patches of a ground cell that flightlines share."""
     cell = Cell.of(args, context)
-    table, _ = cell.read(region(cell.core), (*COLUMNS_NEEDED, "noise_class", "flags"), _signal)
+    table, _ = cell.read(region(cell.core), (*COLUMNS_NEEDED, "noise_class"), _signal)
     found, overlaps = find_patches(table, cell.core)
     returns = np.bincount(table["line"])
     seen = np.flatnonzero(returns >= MIN_RETURNS_PER_PATCH)
@@ -58,8 +58,8 @@ def strip_patches(args: Mapping[str, Any], context: Context) -> Produced:
 
 
 def _signal(table: PointTable) -> NDArray[np.bool_]:
-    """Which points are compared."""
-    found: NDArray[np.bool_] = (table["noise_class"] == NOISE_SIGNAL) & ~table.has(EXCLUDED)
+    """Which points are compared: withheld ones and a vendor's noise are not assessed."""
+    found: NDArray[np.bool_] = table["noise_class"] == NOISE_SIGNAL
     return found
 
 
