@@ -118,14 +118,15 @@ def filter_points(
     True
     """
     chosen = settings_of(settings, sensor, filter={"alpha": alpha, "method": method})
-    of_shots = {"channel": channel, "flightline": flightline, "return_number": return_number}
-    table = _table(xyz, gps_time, of_shots, water)
-    origin = _origins(beam_origin, table, timed=gps_time is not None)
+    of_shots = {
+        "gps_time": gps_time, "channel": channel, "beam_origin": beam_origin,
+        "flightline": flightline, "return_number": return_number,
+    }  # fmt: skip
+    table, known = _looked_at(xyz, of_shots, chosen, water)
     given = None
     if noise_density is not None:
         given = values_of("noise_density", noise_density, len(table))
-    known = assess(table, origin, chosen) if gps_time is not None and len(table) else None
-    labels = _filtered(table if known is None else known.table, given, known, chosen)
+    labels = _filtered(table, given, known, chosen)
     return replace(labels, warnings=(*coarse(xyz), *labels.warnings))
 
 
@@ -160,50 +161,45 @@ def expected_noise(
         As for :func:`filter_points`, and where ``at`` is given without times.
     """
     chosen = settings_of(settings, sensor)
-    table = _table(xyz, gps_time, {"channel": channel, "flightline": flightline})
-    origin = _origins(beam_origin, table, timed=gps_time is not None)
-    if gps_time is None or not len(table):
+    of_shots = {
+        "gps_time": gps_time, "channel": channel, "beam_origin": beam_origin,
+        "flightline": flightline,
+    }  # fmt: skip
+    table, known = _looked_at(xyz, of_shots, chosen)
+    if known is None:
         if at is not None:
             raise InputError(
                 "at", "noise elsewhere needs beams; give gps_time, channel and beam_origin"
             )
         return _of_cloud(table)
-    known = assess(table, origin, chosen)
-    places = known.table if at is None else points_of(at)
+    places = table if at is None else points_of(at)
     noise = NoiseInAir(known.model([places[axis] for axis in "xyz"], chosen))
     return ExpectedNoise(noise.local(places), noise.mean(places), known.basis, known.warnings)
 
 
-def _table(
+def _looked_at(
     xyz: ArrayLike,
-    gps_time: ArrayLike | None,
     of_shots: Mapping[str, ArrayLike | None],
+    settings: Workflow,
     water: ArrayLike | None = None,
-) -> PointTable:
-    """Points in the caller's order with all that shots and a canonical order need."""
+) -> tuple[PointTable, Assessed | None]:
+    """Points in the caller's order with all that a canonical order needs, and what shots tell."""
     known = {name: values for name, values in of_shots.items() if values is not None}
-    if gps_time is None:
-        for name in ("channel", "flightline"):
-            if name in known:
-                raise InputError(name, "it tells shots apart with gps_time alone; give both")
+    timed = "gps_time" in known
+    for name in ("channel", "flightline", "beam_origin"):
+        if name in known and not timed:
+            raise InputError(name, "it is of shots, which times alone show; give gps_time as well")
+    origin = known.pop("beam_origin", None)
     none = dict.fromkeys(("gps_time", "channel", "flightline", "return_number"), 0)
-    timed = {} if gps_time is None else {"gps_time": gps_time}
-    table = points_of(xyz, water=water, **{**none, **timed, **known})
-    if timed:
-        require_shots(table["gps_time"])
+    table = points_of(xyz, water=water, **{**none, **known})
     count = len(table)
-    return table.with_columns(source=np.zeros(count, np.uint64), index=np.arange(count))
-
-
-def _origins(
-    given: ArrayLike | None, table: PointTable, *, timed: bool
-) -> NDArray[np.float64] | None:
-    """Positions of the sensor as (n, 3), None where the caller knows none."""
-    if given is None:
-        return None
-    if not timed:
-        raise InputError("beam_origin", "beams belong to shots; give gps_time as well")
-    return values_of("beam_origin", given, len(table))
+    table = table.with_columns(source=np.zeros(count, np.uint64), index=np.arange(count))
+    if not timed or not count:
+        return table, None
+    require_shots(table["gps_time"])
+    places = None if origin is None else values_of("beam_origin", origin, count)
+    found = assess(table, places, settings)
+    return found.table, found
 
 
 def _filtered(
