@@ -175,8 +175,10 @@ def deposit_beamlets(
     ny, nz, 16), up to :data:`MOST`; see :func:`cover`.
     """
     least = steepness(edge, radius) if squares.size and not beamlets.size else np.inf
-    x, y, z = (np.abs(direction[:, axis]) for axis in range(3))
-    steep = (z >= least) & (z >= x) & (z >= y)
+    upright = np.abs(direction[:, 2])
+    steep = upright >= least
+    for axis in (0, 1):
+        steep &= upright >= np.abs(direction[:, axis])
     rows = voxel, point, direction, near, far, weight, edge, radius, amount, share, squares
     deposit_steep(np.flatnonzero(steep), *rows)
     last_shot = np.full(beamlets.shape, -1, np.int64)

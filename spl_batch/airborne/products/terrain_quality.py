@@ -21,7 +21,7 @@ for no more than the variance by which cells differ beyond what noise alone expl
 It cannot show what no point tells: shrubs or a terrace of fill that were taken for ground.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -124,7 +124,7 @@ def terrain_sigma(means: Grid, cell_m: float, scatter: Scatter | None = None) ->
 def _layer_variance(scatter: Scatter, integrals: Grid, differ: Grid, cell_m: float) -> Grid:
     """Variance of ground within the layer of its returns; ``differ``: of means among cells [m2]."""
     shape = scatter.returns.shape
-    sums = [_boxes(field, 2 * rings(cell_m)[-1], _SLOPE_CELLS) for field in integrals]
+    sums = (_boxes(field, 2 * rings(cell_m)[-1], _SLOPE_CELLS) for field in integrals)
     *_, east, north = _planes(sums, 1)
     east, north = (np.where(np.isnan(slope), 0.0, slope) / cell_m for slope in (east, north))
     xx, xy, yy, xz, yz, zz = np.moveaxis(scatter.products, -1, 0)
@@ -186,7 +186,7 @@ def _off_ring(places: Grid, integrals: Grid, room: int, ring: int) -> Grid:
     ``integrals``: :func:`_moments` in a room of that reach.
     """
     x, y, z = np.moveaxis(places, -1, 0)
-    sums = [_boxes(field, room, 2 * ring) - _boxes(field, room, ring - 1) for field in integrals]
+    sums = (_boxes(field, room, 2 * ring) - _boxes(field, room, ring - 1) for field in integrals)
     middle_x, middle_y, middle_z, east, north = _planes(sums, _ENOUGH)
     above = east * (x - middle_x) + north * (y - middle_y)
     off: Grid = np.abs(z - (middle_z + above))
@@ -229,16 +229,17 @@ def _boxes(integrals: Grid, room: int, reach: int) -> Grid:
     return summed
 
 
-def _planes(sums: Sequence[Grid], least: int) -> tuple[Grid, Grid, Grid, Grid, Grid]:
+def _planes(sums: Iterator[Grid], least: int) -> tuple[Grid, Grid, Grid, Grid, Grid]:
     """Planes through the ground around each cell: middle x, y, z and rise to east and north.
 
     ``sums``: moments over that ground, as :func:`_moments` has them, nine (rows, columns); NaN
     where it is in fewer cells than ``least``.
     """
-    count = np.where(sums[0] > least - 0.5, sums[0], np.nan)
-    x, y, z, xx, xy, yy, xz, yz = (summed / count for summed in sums[1:])
-    xx, yy = xx - x * x + _DAMPING, yy - y * y + _DAMPING
-    xy, xz, yz = xy - x * y, xz - x * z, yz - y * z
+    count = next(sums)
+    count = np.where(count > least - 0.5, count, np.nan)
+    x, y, z = (next(sums) / count for _ in range(3))
+    pairs = ((x, x, _DAMPING), (x, y, 0.0), (y, y, _DAMPING), (x, z, 0.0), (y, z, 0.0))
+    xx, xy, yy, xz, yz = (next(sums) / count - a * b + more for a, b, more in pairs)
     scale = xx * yy - xy * xy
     return x, y, z, (yy * xz - xy * yz) / scale, (xx * yz - xy * xz) / scale
 
