@@ -175,13 +175,8 @@ def count_inside(
 
 
 @njit()
-def _look_at(  # type: ignore[no-untyped-def]
-    points, boxes, depth, near, member, found, quadrics, others, at, space, rule, scratch
-):
-    """Flags and spacings of a member's neighbours as rows of ``near``.
-
-    Flags also of what lies behind them. Spacings of neighbours inside are found out.
-    """
+def _flags(near, member, found, quadrics):  # type: ignore[no-untyped-def]
+    """Flags of a member's neighbours as a row of ``near``, and of what lies behind them."""
     q0, q1, q2 = quadrics[U0, member], quadrics[U1, member], quadrics[U2, member]
     q3, q4, q5 = quadrics[U3, member], quadrics[U4, member], quadrics[U5, member]
     for i in range(U0, np.uint64(found), UL):
@@ -190,13 +185,24 @@ def _look_at(  # type: ignore[no-untyped-def]
         square = spread(q0) * dx * dx + spread(q3) * dy * dy + spread(q5) * dz * dz
         mixed = spread(q1) * dx * dy + spread(q2) * dx * dz + spread(q4) * dy * dz
         store(near, (member, U3, i), square + spread(2.0) * mixed)
+
+
+@njit()
+def _spacings(near, member, found, others, at, space):  # type: ignore[no-untyped-def]
+    """Spacings of the neighbours behind their flags; whether any inside is unknown."""
     for i in range(found):
         near[member, U4, i] = space[np.uint64(others[at, i])]
     end, unknown = np.uint64(found), U0
     for i in range(U0, end, UL):
         inside = (load(near, (member, U3, i)) < spread(1.0)) & (ascending(i) < spread(end))
         unknown += number(inside & (load(near, (member, U4, i)) < spread(0.0)))
-    for i in range(found if unknown > U0 else 0):
+    return unknown > U0
+
+
+@njit()
+def _learn(points, boxes, depth, near, member, found, others, at, space, rule, scratch):  # type: ignore[no-untyped-def]
+    """Find out the spacings of the neighbours inside."""
+    for i in range(found):
         if near[member, U3, i] < 1.0 and near[member, U4, i] < 0.0:
             other = np.uint64(others[at, i])
             if space[other] < 0.0:
@@ -332,10 +338,11 @@ def _count_some(  # type: ignore[no-untyped-def]  # noqa: C901
                     stop, least = critical_by_logs(mean, level, stop, log_mean, logs)
                 else:
                     stop, least = int(level), 1.0
-            _look_at(
-                points, boxes, depth, near, member, found[at], bodies.quadrics, others, at, space,
-                rule, spare,
-            )  # fmt: skip
+            _flags(near, member, found[at], bodies.quadrics)
+            if _spacings(near, member, found[at], others, at, space):
+                _learn(
+                    points, boxes, depth, near, member, found[at], others, at, space, rule, spare
+                )
             inside = _among(near, member, found[at], space[slot], ratio2, outer)
             reach = float(shape.neighbour_cap)
             if found[at] == shape.neighbours:

@@ -91,6 +91,46 @@ def offsets(points, slot, others, at, found, near, member, moments):  # type: ig
 
 
 @njit()
+def _axes(values, shape, axes, member):  # type: ignore[no-untyped-def]
+    """Semi-axes (3, m) of a member from eigenvalues [W18 Eq. 3]; returns the volume.
+
+    Uncapped it is the sphere's to the last bit, so points share a critical count.
+    """
+    floor = shape.floor * shape.floor
+    product = 1.0
+    for i in range(3):
+        value = max(values[i, member], floor)
+        axes[i, member] = value if shape.power == 1.0 else value**shape.power
+        product *= axes[i, member]
+    scale = shape.radius / np.cbrt(product)
+    volume = 4.0 / 3.0 * math.pi * shape.radius**3
+    for i in range(3):
+        axes[i, member] *= scale
+        if axes[i, member] > shape.axis_cap:
+            volume *= shape.axis_cap / axes[i, member]
+            axes[i, member] = shape.axis_cap
+    return volume
+
+
+@njit()
+def _quadrics(vectors, axes, quadrics):  # type: ignore[no-untyped-def]
+    """Upper triangles (6, 8) of the matrices Q with flag = d' Q d [W18 Eq. 4-5]."""
+    q0 = q1 = q2 = q3 = q4 = q5 = spread(0.0)
+    for i in range(U3):
+        axis, x = load(axes, (i, U0)), load(vectors, (U3 * i, U0))
+        y, z = load(vectors, (U3 * i + U1, U0)), load(vectors, (U3 * i + U2, U0))
+        weight = spread(1.0) / (axis * axis)
+        q0, q1, q2 = q0 + weight * x * x, q1 + weight * x * y, q2 + weight * x * z
+        q3, q4, q5 = q3 + weight * y * y, q4 + weight * y * z, q5 + weight * z * z
+    store(quadrics, (U0, U0), q0)
+    store(quadrics, (U1, U0), q1)
+    store(quadrics, (U2, U0), q2)
+    store(quadrics, (U3, U0), q3)
+    store(quadrics, (U4, U0), q4)
+    store(quadrics, (U5, U0), q5)
+
+
+@njit()
 def flag(q, dx, dy, dz):  # type: ignore[no-untyped-def]
     """[W18 Eq. 5]: below 1 inside."""
     return (
@@ -132,7 +172,6 @@ def no_bodies() -> Bodies:
 def fit(bodies, shape):  # type: ignore[no-untyped-def]
     """Ellipsoids of eight points by how many neighbours they have, and by their covariance."""
     found, moments, quadrics, values, axes, vectors, volume, matrix, value, rows = bodies
-    floor = shape.floor * shape.floor
     for member in range(LANES):
         for i in range(6):
             matrix[i] = moments[i, member]
@@ -142,34 +181,8 @@ def fit(bodies, shape):  # type: ignore[no-untyped-def]
             values[i, member] = 1.0 if lone else value[i]
             for j in range(3):
                 vectors[3 * i + j, member] = (1.0 if i == j else 0.0) if lone else rows[i, j]
-        # Semi-axes [W18 Eq. 3].
-        product = 1.0
-        for i in range(3):
-            size = max(values[i, member], floor)
-            axes[i, member] = size if shape.power == 1.0 else size**shape.power
-            product *= axes[i, member]
-        scale = shape.radius / np.cbrt(product)
-        # Uncapped it is the sphere's to the last bit, so points share a critical count.
-        volume[member] = 4.0 / 3.0 * math.pi * shape.radius**3
-        for i in range(3):
-            axes[i, member] *= scale
-            if axes[i, member] > shape.axis_cap:
-                volume[member] *= shape.axis_cap / axes[i, member]
-                axes[i, member] = shape.axis_cap
-    # Upper triangles of the matrices Q with flag = d' Q d [W18 Eq. 4-5].
-    q0 = q1 = q2 = q3 = q4 = q5 = spread(0.0)
-    for k in range(U3):
-        axis, x = load(axes, (k, U0)), load(vectors, (U3 * k, U0))
-        y, z = load(vectors, (U3 * k + U1, U0)), load(vectors, (U3 * k + U2, U0))
-        weight = spread(1.0) / (axis * axis)
-        q0, q1, q2 = q0 + weight * x * x, q1 + weight * x * y, q2 + weight * x * z
-        q3, q4, q5 = q3 + weight * y * y, q4 + weight * y * z, q5 + weight * z * z
-    store(quadrics, (U0, U0), q0)
-    store(quadrics, (U1, U0), q1)
-    store(quadrics, (U2, U0), q2)
-    store(quadrics, (U3, U0), q3)
-    store(quadrics, (U4, U0), q4)
-    store(quadrics, (U5, U0), q5)
+        volume[member] = _axes(values, shape, axes, member)
+    _quadrics(vectors, axes, quadrics)
 
 
 @njit()
