@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.numerics.compiled import njit
@@ -60,6 +61,14 @@ def columns(
     return Columns(points, start, corner, shape, edge)
 
 
+def most_around(made: Columns, span: int = 1) -> int:
+    """Most points in a column and those up to ``span`` columns beside it [count]."""
+    counts = np.diff(made.start).reshape(made.shape)
+    for axis in (0, 1):
+        counts = ndimage.convolve1d(counts, np.ones(2 * span + 1, int), axis, mode="constant")
+    return int(counts.max())
+
+
 @njit()
 def first_above(points, low, high, z):  # type: ignore[no-untyped-def]
     """First slot of a column's stretch [low, high) whose height is at least ``z``."""
@@ -78,9 +87,3 @@ def stretch_of(place, reach, edge, n):  # type: ignore[no-untyped-def]
     low = np.int64(math.floor((place - reach) / edge))
     high = np.int64(math.floor((place + reach) / edge))
     return max(low, 0), min(high + 1, n)
-
-
-@njit(inline="always")
-def columns_around(column, span, n):  # type: ignore[no-untyped-def]
-    """First column within ``span`` columns of one, and the one after the last."""
-    return max(column - span, 0), min(column + span + 1, n)

@@ -23,15 +23,6 @@ SURELY: Final = 1e-9
 
 
 @njit()
-def log_factorials(size):  # type: ignore[no-untyped-def]
-    """Logarithms of the factorials of 0 to ``size`` - 1: a look at them is a tenth of the work."""
-    logs = np.empty(size)
-    for i in range(size):
-        logs[i] = math.lgamma(i + 1.0)
-    return logs
-
-
-@njit()
 def _series(count, expected, log_mean, logs):  # type: ignore[no-untyped-def]
     """Upper tail for a count and a mean above 0, and P(K = count), or -1 where it is not needed."""
     first = count if count > expected else count - 1
@@ -60,7 +51,8 @@ def tail_by_logs(count, expected, log_mean, logs):  # type: ignore[no-untyped-de
     """Probability of at least ``count`` events where ``expected`` are expected.
 
     Relative error below 1e-12 in the small tail: the series starts at its largest term and nothing
-    is subtracted. ``log_mean``: logarithm of ``expected``; ``logs``: of :func:`log_factorials`.
+    is subtracted. ``log_mean``: logarithm of ``expected``; ``logs``: logarithms of the factorials
+    of 0 and some more: a look at them is a tenth of the work.
     """
     if count <= 0:
         return 1.0

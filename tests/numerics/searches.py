@@ -35,7 +35,8 @@ def nearest_sets(
     found = np.zeros(len(xyz), dtype=np.int32)
     tree = build(xyz)
     if len(xyz):
-        _by_leaves(tree.points, tree.boxes, tree.depth, query, cap, rows, found)
+        edges = edges_of_leaves(tree)
+        _by_leaves(tree.points, tree.boxes, edges, tree.depth, query, cap, rows, found)
     return rows[query], found[query]
 
 
@@ -47,15 +48,16 @@ def spacings(
     out = np.full(tree.points.shape[1], np.nan)
     wanted = np.ones(len(out), np.bool_) if asked is None else asked
     if len(out):
-        _spacings(tree.points, tree.boxes, tree.depth, Spacing(neighbours, cap), wanted, out)
+        rule, room = Spacing(neighbours, cap), search_room(neighbours + 1)
+        _spacings(tree.points, tree.boxes, tree.depth, rule, wanted, room, out)
     return out
 
 
 @njit(nogil=True, cache=True)
-def _by_leaves(points, boxes, depth, query, cap, rows, found):  # type: ignore[no-untyped-def]
+def _by_leaves(points, boxes, edges, depth, query, cap, rows, found):  # type: ignore[no-untyped-def]
     """Neighbours of every query point, in tree order, so that the cache stays warm."""
     n, depth, k = np.uint64(points.shape[1]), np.uint64(depth), rows.shape[1]
-    leaves, chunk, edges = U1 << depth, np.uint64(CHUNK), edges_of_leaves(boxes, depth)
+    leaves, chunk = U1 << depth, np.uint64(CHUNK)
     room = CHUNK * LEAF
     asked, others = np.empty(room, np.bool_), np.empty((room, k), np.int32)
     count, last, few = np.empty(room, np.int64), np.empty(room), np.empty(room)
@@ -77,9 +79,9 @@ def _by_leaves(points, boxes, depth, query, cap, rows, found):  # type: ignore[n
 
 
 @njit(nogil=True, cache=True)
-def _spacings(points, boxes, depth, rule, asked, out):  # type: ignore[no-untyped-def]
+def _spacings(points, boxes, depth, rule, asked, scratch, out):  # type: ignore[no-untyped-def]
     """Points in tree order, so that the cache stays warm."""
-    depth, scratch = np.uint64(depth), search_room(rule.neighbours + 1)
+    depth = np.uint64(depth)
     space = np.empty(points.shape[1])
     for slot in range(np.uint64(points.shape[1])):
         if asked[points[U3, slot]]:

@@ -4,23 +4,24 @@ import numpy as np
 import pytest
 from scipy.interpolate import RBFInterpolator
 
-from spl_batch.numerics.thin_plates import fit_plate, plate_height
+from spl_batch.numerics.thin_plates import fit_plate, plate_heights
 
 
 @pytest.mark.parametrize("stiffness", [0.0, 1.0, 20.0])
 def test_plates_are_those_of_scipy(stiffness):
     rng = np.random.default_rng(1)
     points = rng.uniform(-7, 7, (60, 3)) * (1, 1, 3)
-    plate = np.empty(63)
-    assert fit_plate(points, stiffness, plate)
+    plate = fit_plate(points, stiffness)
     places = rng.uniform(-9, 9, (50, 2))
     expected = RBFInterpolator(
         points[:, :2], points[:, 2], kernel="thin_plate_spline", smoothing=stiffness
     )(places)
-    found = [plate_height(points, plate, x, y) for x, y in places]
+    found = plate_heights(points, plate, *places.T)
     np.testing.assert_allclose(found, expected, atol=1e-9)
+    alone = [plate_heights(points, plate, *place[:, np.newaxis]).item() for place in places]
+    assert found.tolist() == alone
 
 
 def test_points_on_one_line_have_no_plate():
     line = np.array([[k, 0.0, 1.0] for k in range(9)])
-    assert not fit_plate(line, 1.0, np.empty(12))
+    assert fit_plate(line, 1.0) is None

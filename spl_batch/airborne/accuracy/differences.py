@@ -16,7 +16,6 @@ from spl_batch.airborne.accuracy.error_tally import STEPS_PER_M
 from spl_batch.airborne.accuracy.raster_and_reference import Raster, Reference
 from spl_batch.constants import CLASS_BUILDING, CLASS_GROUND, CLASS_WATER
 from spl_batch.formats.rasters.parts import Grid, known
-from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.point_grid import PointGrid
 
 OPEN_M: Final = 2.0
@@ -126,7 +125,9 @@ def surface_differences(dsm: Raster, reference: Reference) -> Differences:
     picked = np.flatnonzero(held)
     cell = row[picked] * cols + col[picked]
     highest = np.full(rows * cols, -1, np.intp)
-    _put_highest(picked, cell, reference.xyz_m, reference.classification, highest)
+    # The last that is put into a cell stays; equal heights are settled by class.
+    order = np.lexsort((reference.classification[picked], reference.xyz_m[picked, 2]))
+    highest[cell[order]] = picked[order]
     cell = np.flatnonzero(highest >= 0)
     top = highest[cell]
     surface = known(dsm.values.ravel()[cell])
@@ -149,19 +150,6 @@ def surface_differences(dsm: Raster, reference: Reference) -> Differences:
     }
     difference = surface - reference.xyz_m[top, 2]
     return _by_class(difference, classes, reference.counts[top] & np.isfinite(difference))
-
-
-@njit()
-def _put_highest(
-    picked: NDArray[np.intp], cell: NDArray[np.int64], xyz_m: NDArray[np.float64],
-    kind: NDArray[np.uint8], out: NDArray[np.intp],
-) -> None:  # fmt: skip
-    """Put the highest of some points into their cells; equal heights are settled by class."""
-    for k in range(len(picked)):
-        i, there = picked[k], out[cell[k]]
-        above = xyz_m[i, 2] - xyz_m[there, 2]
-        if there < 0 or above > 0.0 or (above == 0.0 and kind[i] >= kind[there]):
-            out[cell[k]] = i
 
 
 def return_differences(

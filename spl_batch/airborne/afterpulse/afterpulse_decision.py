@@ -40,7 +40,7 @@ from spl_batch.airborne.afterpulse.weighted_counts import UNIT, weigh_around
 from spl_batch.airborne.beams.dependent_returns import LAG_M, dependents
 from spl_batch.airborne.beams.shot_runs import Beamlets
 from spl_batch.airborne.settings import AfterpulseSettings
-from spl_batch.lattice.lattice_columns import columns
+from spl_batch.lattice.lattice_columns import columns, most_around
 from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
 from spl_batch.lattice.tiles import quanta
@@ -288,6 +288,7 @@ class _Places:
         spread [m]. Without a surface slopes are 0.
         """
         out, tilt = np.empty(len(places), dtype=np.bool_), np.empty((len(places), 2))
+        room = np.empty((3, most_around(self._made)))
         for spread, own in _alike(sigma, np.ones(len(places), np.bool_)):
             wide, high, thick = (quanta(m) for m in PLANE_M)
             high, thick = (
@@ -297,7 +298,7 @@ class _Places:
             found, slopes = out[own], tilt[own]
             behind_plane(
                 self._made, alone, places[own], parents[own], (wide, high, thick), PLANE_SHARE,
-                PLANE_LEAST, found, slopes,
+                PLANE_LEAST, found, slopes, room,
             )  # fmt: skip
             out[own], tilt[own] = found, slopes
         return out, tilt

@@ -174,12 +174,15 @@ def hard_surfaces(
         chosen = _on_planes(shots, u, v, w, candidate, grown, rules)
         grown = fit_surfaces(shots, chosen, u, v, w, rules)
     for shot in range(len(shots) - 1):
-        rows = (shots[shot], shots[shot + 1])
-        if (
-            grown.trusted[shot]
-            and grown.spread[shot] <= spread_max[shot]
-            and _stands_out(grown.size[shot], rows, w, candidate, rules)
-        ):
+        if not grown.trusted[shot] or grown.spread[shot] > spread_max[shot]:
+            continue
+        count, low, high = 0, np.inf, -np.inf
+        for row in range(shots[shot], shots[shot + 1]):
+            if candidate[row]:
+                count, low, high = count + 1, min(low, w[row]), max(high, w[row])
+        # Candidates that an even spread would give a surface.
+        even = count * 2.0 * rules.below_m / max(high - low, 2.0 * rules.p68_max_m)
+        if grown.size[shot] >= RETURNS_MIN + 2.0 * even:
             found.trusted[shot] = True
             for i in range(3):
                 found.plane[shot, i] = grown.plane[shot, i]
@@ -214,17 +217,6 @@ def _on_planes(shots, u, v, w, candidate, fitted, rules):  # type: ignore[no-unt
                 near = abs(behind_of(fitted.plane[shot], i, u, v, w)) <= reach
                 chosen[i] = candidate[i] and near
     return chosen
-
-
-@njit()
-def _stands_out(size, rows, w, candidate, rules):  # type: ignore[no-untyped-def]
-    """Whether a surface holds more candidates than an even spread would give it."""
-    count, low, high = 0, np.inf, -np.inf
-    for i in range(rows[0], rows[1]):
-        if candidate[i]:
-            count, low, high = count + 1, min(low, w[i]), max(high, w[i])
-    even = count * 2.0 * rules.below_m / max(high - low, 2.0 * rules.p68_max_m)
-    return size >= RETURNS_MIN + 2.0 * even
 
 
 @njit()

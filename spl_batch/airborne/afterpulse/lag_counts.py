@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from spl_batch.airborne.afterpulse.hard_surfaces import (
     STEP_M,
     Rules,
+    behind_of,
     candidates,
     fit_surfaces,
     on_surface,
 )
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.numerics.compiled import njit
-from spl_batch.numerics.planes.robust_plane import residual
 from spl_batch.numerics.sorting import first_above
 
 CLEAN = 0.9
@@ -103,7 +103,9 @@ def observe_lags(
     for shot in chosen:
         if found.trusted[shot]:
             rows, plane = slice(starts[shot], starts[shot + 1]), found.plane[shot]
-            distance = residual(plane, u[rows], v[rows], range_m[rows])
+            distance = np.empty(starts[shot + 1] - starts[shot])
+            for k in range(len(distance)):
+                distance[k] = behind_of(plane, starts[shot] + k, u, v, range_m)
             _observe(
                 range_m[rows], channel[rows], lag[rows], distance, found.spread[shot],
                 _square(plane), rules, edges, counts,
@@ -113,13 +115,19 @@ def observe_lags(
 @njit()
 def _observe(w, channel, lag, distance, spread, square, rules, edges, counts):  # type: ignore[no-untyped-def]
     """Count what follows the first returns on a plane that is alone in its shot."""
-    first = lag == 0
-    if not _alone(distance, first, spread, rules):
-        return
-    on = np.empty(len(w), np.bool_)
+    on, near, total = np.empty(len(w), np.bool_), 0, 0.0
+    parents = 0
     for i in range(len(w)):
-        on[i] = first[i] and on_surface(distance[i], spread, rules)
-    scale = _scale(distance, on)
+        on[i] = lag[i] == 0 and on_surface(distance[i], spread, rules)
+        if on[i]:
+            parents += 1
+            total += distance[i] ** 2
+        near += lag[i] == 0 and not on[i] and 0.0 < distance[i] <= rules.lag_max_m
+    # The plane is alone where the first returns lie on it and next to none behind it.
+    if parents < PARENTS_MIN or parents < CLEAN * (parents + near):
+        return
+    # Standard deviation of the returns on a plane, whose fit takes three of them [m].
+    scale = math.sqrt(total / max(parents - 3, 1))
     k = min(int(scale * square / SPREAD_STEP_M), len(counts.planes) - 1)
     counts.planes[k] += 1
     for i in range(len(w)):
@@ -139,29 +147,6 @@ def _observe(w, channel, lag, distance, spread, square, rules, edges, counts):  
 
 
 @njit()
-def _square(plane):  # type: ignore[no-untyped-def]
-    """Factor to the spread of a plane along the beam that leaves what ranging noise does.
-
-    A plane that is tilted off the beam also spreads by the beam's width, which is about as much as
-    the noise: beyond :data:`TILTED` its spread square to itself is taken.
-    """
-    upright = 1.0 / math.sqrt(1.0 + plane[1] ** 2 + plane[2] ** 2)
-    return min(upright / TILTED, 1.0)
-
-
-@njit()
-def _alone(distance, first, spread, rules):  # type: ignore[no-untyped-def]
-    """Whether the first returns lie on the plane and next to none behind it."""
-    on = near = 0
-    for i in range(len(distance)):
-        if first[i] and on_surface(distance[i], spread, rules):
-            on += 1
-        elif first[i] and 0.0 < distance[i] <= rules.lag_max_m:
-            near += 1
-    return on >= PARENTS_MIN and on >= CLEAN * (on + near)
-
-
-@njit()
 def next_return(i: int, w: NDArray[np.float64], channel: NDArray[np.uint8]) -> int:
     """The next return of a beamlet behind one of it; -1 for none."""
     found = -1
@@ -172,14 +157,14 @@ def next_return(i: int, w: NDArray[np.float64], channel: NDArray[np.uint8]) -> i
 
 
 @njit()
-def _scale(distance: NDArray[np.float64], on: NDArray[np.bool_]) -> float:
-    """Standard deviation of the returns on a plane, whose fit takes three of them [m]."""
-    total, count = 0.0, 0
-    for i in range(len(distance)):
-        if on[i]:
-            total += distance[i] ** 2
-            count += 1
-    return math.sqrt(total / max(count - 3, 1))
+def _square(plane):  # type: ignore[no-untyped-def]
+    """Factor to the spread of a plane along the beam that leaves what ranging noise does.
+
+    A plane that is tilted off the beam also spreads by the beam's width, which is about as much as
+    the noise: beyond :data:`TILTED` its spread square to itself is taken.
+    """
+    upright = 1.0 / math.sqrt(1.0 + plane[1] ** 2 + plane[2] ** 2)
+    return min(upright / TILTED, 1.0)
 
 
 @njit()

@@ -7,7 +7,6 @@ an upright cylinder around it. Sums are of whole numbers, so their order does no
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.afterpulse.weighted_counts import most_around
 from spl_batch.lattice.lattice_columns import Columns, first_above
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.kdtree import U0, U1, U2
@@ -126,7 +125,7 @@ def _plane_of(sums: NDArray[np.float64], plane: NDArray[np.float64]) -> bool:
 def behind_plane(
     made: Columns, true: NDArray[np.bool_], rows: NDArray[np.int32], parents: NDArray[np.int32],
     cylinder: tuple[int, int, int], share: float, least: int, out: NDArray[np.bool_],
-    tilt: NDArray[np.float64],
+    tilt: NDArray[np.float64], offsets: NDArray[np.float64],
 ) -> None:  # fmt: skip
     """Whether points lie behind a plane that the true returns around their parents (m,) make.
 
@@ -134,12 +133,11 @@ def behind_plane(
     the plane [quanta]. At least ``share`` of the returns in it lie on the plane. ``out`` (m,): the
     point lies behind it by more than the half-thickness, and of the cylinder's returns at most one
     in twenty lies at its depth. ``tilt`` (m, 2): the plane's slopes, whatever lies there, 0 where
-    there is no plane.
+    there is no plane. ``offsets`` (3, k): room for the returns in a cylinder.
     """
     xyz = made.points
     wide, high, thick = cylinder
     sums, plane = np.empty(9), np.zeros(3)
-    offsets = np.empty((3, most_around(made.start, made.shape)))
     for q in range(len(rows)):
         row, parent = rows[q], parents[q]
         out[q], tilt[q, 0], tilt[q, 1] = False, 0.0, 0.0

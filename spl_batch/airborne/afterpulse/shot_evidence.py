@@ -54,35 +54,24 @@ def soft_probability(
 
 @njit()
 def follows_surface(
-    i: int, own: tuple[int, int], behind: NDArray[np.float64], spread: float, depth: float,
-    w: NDArray[np.float64], rules: Rules,
+    i: int, rows: tuple[int, int], channel: NDArray[np.uint8], behind: NDArray[np.float64],
+    spread: float, depth: float, w: NDArray[np.float64], rules: Rules,
 ) -> bool:  # fmt: skip
     """Whether a return lies behind its shot's hard surface, and its beamlet hit that.
 
-    ``own`` is :func:`beamlet_of` it; ``depth`` is what :func:`depth_behind` gives. Unless ranging
-    noise is large, half the dead time is distance enough: the dead time is longer than a hard
-    surface is thick.
+    ``rows``: first row of the shot, and the one after its last; ``depth`` is what
+    :func:`depth_behind` gives. Unless ranging noise is large, half the dead time is distance
+    enough: the dead time is longer than a hard surface is thick.
     """
     if behind[i] <= max(0.5 * rules.dead_m, rules.apart * spread):
         return False
     if depth <= behind[i] <= depth + 2.0 * rules.below_m:
         return False
-    for j in range(own[0], own[1]):
-        lag = w[i] - w[j]
-        if 0.0 < lag <= rules.chain_m and on_surface(behind[j], spread, rules):
+    for j in range(rows[0], rows[1]):
+        near = channel[j] == channel[i] and 0.0 < w[i] - w[j] <= rules.chain_m
+        if near and on_surface(behind[j], spread, rules):
             return True
     return False
-
-
-@njit()
-def beamlet_of(i: int, rows: tuple[int, int], channel: NDArray[np.uint8]) -> tuple[int, int]:
-    """First row of a return's beamlet, and the row after its last, within the shot's ``rows``."""
-    begin = end = i
-    while begin > rows[0] and channel[begin - 1] == channel[i]:
-        begin -= 1
-    while end < rows[1] and channel[end] == channel[i]:
-        end += 1
-    return begin, end
 
 
 @njit()
@@ -136,8 +125,7 @@ def _of_shots(shots, u, v, w, channel, lag, known, rules, out):  # type: ignore[
                 out[i] = PLANE_ONLY * (below and not on_surface(behind[i], spread, rules))
             # One farther behind its nearest parent cannot have been started by any.
             elif 0.0 < lag[i] <= rules.longest_m:
-                own = beamlet_of(i, rows, channel)
-                if hard and follows_surface(i, own, behind, spread, depth, w, rules):
+                if hard and follows_surface(i, rows, channel, behind, spread, depth, w, rules):
                     out[i] = HARD
                 else:
                     out[i] = soft_probability(i, lag[i], rows, w, first, rules)

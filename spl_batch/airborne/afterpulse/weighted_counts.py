@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.lattice.lattice_columns import Columns, first_above
+from spl_batch.lattice.lattice_columns import Columns, first_above, most_around
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.kdtree import U0, U1, U2
 from spl_batch.numerics.simd import LANES, UL, ascending, load, number, pack, spread
@@ -25,21 +25,6 @@ MASS: Final = 8.0 / 35.0
 """Mean of the kernel (1 - d^2)^2 over the ball d < 1."""
 
 
-@njit()
-def most_around(starts: NDArray[np.int64], shape: tuple[int, int]) -> int:
-    """Most points in a column and the eight around it."""
-    nx, ny = shape
-    most = 0
-    for i in range(nx):
-        for j in range(ny):
-            held = 0
-            for k in range(max(i - 1, 0), min(i + 2, nx)):
-                held += starts[k * ny + min(j + 2, ny)] - starts[k * ny + max(j - 1, 0)]
-            most = max(most, held)
-    return most
-
-
-@njit()
 def weigh_around(
     made: Columns,
     time: NDArray[np.float64],
@@ -60,17 +45,26 @@ def weigh_around(
     [returns / UNIT], and not at all below it. ``out`` (m, k) is filled with the sums of weight x
     (1 - d^2)^2 x :data:`UNIT`, d the distance in radii.
     """
+    n, some = made.points.shape[1], weight != 0
+    room = most_around(made) + 2 * WHOLE
+    if 0 < n < LANES:
+        # Too few to fill a vector: the last one stands in for those that there are not.
+        filled = np.minimum(np.arange(LANES), n - 1)
+        made = made._replace(points=np.take(made.points, filled, axis=1))
+        time, some = time[filled], some[filled]
+    _weigh_around(made, time, channel, weight, some, rows, radii, tilt, own, room, out)
+
+
+@njit()
+def _weigh_around(made, time, channel, weight, some, rows, radii, tilt, own, room, out):  # type: ignore[no-untyped-def]
+    """:func:`weigh_around` with room for so many neighbours; ``some``: weights that are not 0."""
     xyz, starts, shape, edge = made.points, made.start, made.shape, made.edge
     wide, high = radii[0, 0], radii[0, 1]
     across, up = np.empty(len(radii)), np.empty(len(radii))
     for k in range(len(radii)):
         across[k], up[k] = 1.0 / float(radii[k, 0]) ** 2, 1.0 / float(radii[k, 1]) ** 2
-    room = most_around(starts, shape) + 2 * WHOLE
-    near, mates, some = np.empty(room, np.uint64), np.empty(room, np.uint64), weight != 0
+    near, mates = np.empty(room, np.uint64), np.empty(room, np.uint64)
     flat, square, worth = np.zeros(room), np.zeros(room), np.zeros(room, np.int32)
-    spare = spare_rows(xyz.shape[1])
-    if len(spare):
-        xyz, time, some = xyz[:, spare], time[spare], some[spare]
     for q in range(len(rows)):
         row, bx, by = rows[q], tilt[q, 0], tilt[q, 1]
         span = high + math.ceil(math.hypot(bx, by) * wide)
@@ -93,15 +87,6 @@ def weigh_around(
             worth[i] = 0
         for k in range(len(radii)):
             out[q, k] = _weighed(flat, square, worth, size, across[k], up[k])
-
-
-@njit()
-def spare_rows(n: int) -> NDArray[np.int64]:
-    """Rows to take where they are too few to fill a vector; none where they are enough."""
-    rows = np.empty(LANES if n < LANES else 0, np.int64)
-    for lane in range(len(rows)):
-        rows[lane] = min(lane, n - 1)
-    return rows
 
 
 @njit()

@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.numerics.compiled import njit
-from spl_batch.numerics.planes.robust_plane import median
 
 
 @njit()
@@ -105,16 +105,13 @@ def in_voxels(
         point[:, axis] = (2 * (at - inside * edge) - edge) * half_step_m
 
 
-@njit()
 def meet_planes(
     start: NDArray[np.int64],
     z: NDArray[np.int32],
     step_m: float,
     origin: NDArray[np.float64],
     direction: NDArray[np.float64],
-    place: NDArray[np.float64],
-    anchor: NDArray[np.float64],
-) -> None:
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Where beams meet the plane at the median height of their block's returns.
 
     Parameters
@@ -125,21 +122,20 @@ def meet_planes(
         Heights of the returns [steps].
     origin, direction : (n, 3) float64
         Beams; none is horizontal.
+
+    Returns
+    -------
     place : (n, 2) float64
-        Filled with easting and northing relative to the block's anchor [m].
+        Easting and northing relative to the block's anchor [m].
     anchor : (m, 3) float64
-        Filled with the place of the block's first beam in whole metres, and of the plane [m].
+        Place of the block's first beam in whole metres, and of the plane [m].
     """
-    for b in range(len(start) - 1):
-        heights = np.empty(start[b + 1] - start[b])
-        for k in range(len(heights)):
-            heights[k] = z[start[b] + k] * step_m
-        level = median(heights)
-        anchor[b, 2] = level
-        for row in range(start[b], start[b + 1]):
-            away = (level - origin[row, 2]) / direction[row, 2]
-            for axis in range(2):
-                met = origin[row, axis] + away * direction[row, axis]
-                if row == start[b]:
-                    anchor[b, axis] = np.rint(met)
-                place[row, axis] = met - anchor[b, axis]
+    size, anchor = np.diff(start), np.empty((len(start) - 1, 3))
+    anchor[:, 2] = [np.median(z[low:high] * step_m) for low, high in pairwise(start)]
+    away = (np.repeat(anchor[:, 2], size) - origin[:, 2]) / direction[:, 2]
+    place = np.empty((len(z), 2))
+    for axis in range(2):
+        met = origin[:, axis] + away * direction[:, axis]
+        anchor[:, axis] = np.rint(met[start[:-1]])
+        np.subtract(met, np.repeat(anchor[:, axis], size), out=place[:, axis])
+    return place, anchor

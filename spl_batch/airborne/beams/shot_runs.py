@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import PointTable
 from spl_batch.numerics.compiled import njit
-from spl_batch.numerics.sorting import first_above
 
 
 def run_starts(*keys: NDArray[np.generic]) -> NDArray[np.int64]:
@@ -123,10 +122,9 @@ def blind_behind(
             blind_m[i] = gap
 
 
-@njit()
 def interval_rows(
-    shot: NDArray[np.int64], length: int, interval: NDArray[np.int64], row: NDArray[np.int64]
-) -> None:
+    shot: NDArray[np.int64], length: int, interval: NDArray[np.int64]
+) -> NDArray[np.int64]:
     """Row of the interval that each shot lies in, or of the nearest one before it.
 
     Parameters
@@ -134,21 +132,18 @@ def interval_rows(
     shot : (n,) int64
         Shot numbers, in any order; quick where neighbours are of one shot.
     interval : (m,) int64
-        Numbers of the intervals, increasing, at least one.
-    row : (n,) int64
-        Filled; 0 for what lies before all of them.
+        Numbers of the intervals, increasing.
+
+    Returns
+    -------
+    (n,) int64
+        0 for what lies before all of them.
     """
-    at = np.int64(0)
-    for i in range(len(shot)):
-        if i == 0 or shot[i] != shot[i - 1]:
-            number = shot[i] // length
-            here = interval[at] <= number and (at + 1 == len(interval) or number < interval[at + 1])
-            if not here:
-                at = np.int64(max(first_above(interval, number) - 1, 0))
-        row[i] = at
+    start = run_starts(shot)
+    row = np.searchsorted(interval, shot[start[:-1]] // length, side="right") - 1
+    return np.repeat(np.maximum(row, 0), np.diff(start))
 
 
-@njit()
 def share_out(
     shot: NDArray[np.int64],
     time: NDArray[np.float64],
@@ -157,9 +152,7 @@ def share_out(
     row: NDArray[np.int64],
     first: NDArray[np.int64],
     last: NDArray[np.int64],
-    fired: NDArray[np.int64],
-    seen: NDArray[np.int64],
-) -> None:
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Shots fired and beamlets seen in the window of each seen beamlet.
 
     Parameters
@@ -174,20 +167,22 @@ def share_out(
         From :func:`interval_rows`.
     first, last : (m,) int64
         First and last shot that was fired of each interval, from its beginning.
+
+    Returns
+    -------
     fired, seen : (n,) int64
-        Filled.
+        Shots and beamlets [count].
     """
-    begin = 0
-    while begin < len(shot):
-        window = shot[begin] // window_shots
-        end, times = begin, 0
-        while end < len(shot) and shot[end] // window_shots == window:
-            times += end == begin or time[end] != time[end - 1]
-            end += 1
-        start = window * window_shots - shot[begin] // interval_shots * interval_shots
-        low = max(start, first[row[begin]])
-        high = min(start + window_shots - 1, last[row[begin]])
-        for i in range(begin, end):
-            # No fewer were fired than are seen.
-            fired[i], seen[i] = max(high - low + 1, times), end - begin
-        begin = end
+    window = shot // window_shots
+    starts = run_starts(window)
+    begin, seen = starts[:-1], np.diff(starts)
+    if not len(begin):
+        return seen, seen
+    changes = np.ones(len(shot), np.int64)
+    changes[1:] = time[1:] != time[:-1]
+    start = window[begin] * window_shots - shot[begin] // interval_shots * interval_shots
+    low = np.maximum(start, first[row[begin]])
+    high = np.minimum(start + window_shots - 1, last[row[begin]])
+    # No fewer were fired than are seen.
+    fired = np.maximum(high - low + 1, np.add.reduceat(changes, begin))
+    return np.repeat(fired, seen), np.repeat(seen, seen)

@@ -42,10 +42,7 @@ class LineModel:
 
     def row(self, shot: NDArray[np.int64]) -> NDArray[np.int64]:
         """Row of each shot's interval, or of the nearest one before it: (n,) int64; 0 for none."""
-        row = np.zeros(len(shot), np.int64)
-        if len(self.interval):
-            interval_rows(shot, self.interval_shots, self.interval, row)
-        return row
+        return interval_rows(shot, self.interval_shots, self.interval)
 
     def signal_at(self, shot: NDArray[np.int64]) -> NDArray[np.float64]:
         """Height of the signal of each shot, of a model that is not empty: (n,) float64 [m]."""

@@ -59,15 +59,11 @@ def cover(
         x = math.floor((point[0] + t * direction[0] + half) * (4.0 / edge))
         y = math.floor((point[1] + t * direction[1] + half) * (4.0 / edge))
         of_voxel = squares[voxel[0] + x // 4, voxel[1] + y // 4, voxel[2] + layer]
-        _count(of_voxel, x % 4 * 4 + y % 4, share)
+        at = x % 4 * 4 + y % 4
+        held = np.int64(of_voxel[at]) + np.int64(share)
+        of_voxel[at] = np.uint16(min(held, np.int64(MOST)))
 
 
-@njit()
-def _count(counts, at, share):  # type: ignore[no-untyped-def]
-    counts[at] = np.uint16(min(np.int64(counts[at]) + share, MOST))
-
-
-@njit()
 def steepness(edge: float, radius: float) -> float:
     """Vertical part of a direction from which on :func:`deposit_steep` measures every sphere.
 
@@ -148,25 +144,10 @@ def deposit_steep(
             amounts[sphere[0, layer]] += adds[0, layer]
             amounts[sphere[1, layer]] += adds[1, layer]
         for layer in range(layers):
-            _count(counts, square[layer], shared)
+            held = np.int64(counts[square[layer]])
+            counts[square[layer]] = np.uint16(min(held + shared, MOST))
 
 
-@njit()
-def _steep_first(direction: NDArray[np.float64], least: float) -> tuple[NDArray[np.int64], int]:
-    """Rows of steep beams, ascending, then the others, descending; how many are steep."""
-    order, steep, others = np.empty(len(direction), np.int64), 0, len(direction)
-    for row in range(len(direction)):
-        x, y, z = abs(direction[row, 0]), abs(direction[row, 1]), abs(direction[row, 2])
-        if z >= max(x, y, least):
-            order[steep] = row
-            steep += 1
-        else:
-            others -= 1
-            order[others] = row
-    return order, steep
-
-
-@njit()
 def deposit_beamlets(
     voxel: NDArray[np.int64],
     point: NDArray[np.float64],
@@ -194,18 +175,24 @@ def deposit_beamlets(
     ny, nz, 16), up to :data:`MOST`; see :func:`cover`.
     """
     least = steepness(edge, radius) if squares.size and not beamlets.size else np.inf
-    order, steep = _steep_first(direction, least)
-    deposit_steep(
-        order[:steep], voxel, point, direction, near, far, weight, edge, radius, amount, share,
-        squares,
-    )  # fmt: skip
-    last_shot = np.empty(beamlets.shape, np.int64)
-    last_of = last_shot.reshape(-1)
-    for k in range(len(last_of)):
-        last_of[k] = -1
+    upright = np.abs(direction[:, 2])
+    steep = upright >= least
+    for axis in (0, 1):
+        steep &= upright >= np.abs(direction[:, axis])
+    rows = voxel, point, direction, near, far, weight, edge, radius, amount, share, squares
+    deposit_steep(np.flatnonzero(steep), *rows)
+    last_shot = np.full(beamlets.shape, -1, np.int64)
+    _deposit_others(np.flatnonzero(~steep), *rows, ordinal, shots, beamlets, last_shot)
+
+
+@njit()
+def _deposit_others(  # type: ignore[no-untyped-def]
+    rows, voxel, point, direction, near, far, weight, edge, radius, amount, share, squares,
+    ordinal, shots, beamlets, last_shot,
+):  # fmt: skip
+    """:func:`deposit_beamlets` of some rows; ``last_shot``: that of each sphere, -1 at first."""
     index = np.empty(3, dtype=np.int64)
-    for back in range(len(weight) - 1, steep - 1, -1):
-        row = order[back]
+    for row in rows:
         at, ray, start, stop = point[row], direction[row], near[row], far[row]
         if squares.size:
             cover(voxel[row], at, ray, start, stop, edge, radius, share[row], squares)

@@ -143,10 +143,9 @@ def seen_density(table: PointTable, model: LineModel) -> NDArray[np.float64]:
     """
     shot = table["shot"]
     row = model.row(shot)
-    fired, seen = np.empty((2, len(shot)), np.int64)
-    share_out(
+    fired, seen = share_out(
         shot, table["gps_time"], model.seen_shots, model.interval_shots, row,
-        model.first, model.last, fired, seen,
+        model.first, model.last,
     )  # fmt: skip
     fired *= model.beamlets
     density: NDArray[np.float64] = model.rate.take(row)

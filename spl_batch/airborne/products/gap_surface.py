@@ -23,8 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from spl_batch.numerics.compiled import njit
-from spl_batch.numerics.thin_plates import fit_plate, plate_height
+from spl_batch.numerics.thin_plates import fit_plate, plate_heights
 
 FAR_M: Final = 4.0
 """Distance to ground from which on a plate takes part [m]."""
@@ -80,7 +79,8 @@ def bridged(
     nodes = _nodes(share > 0, (first[0] + phase[0] * block, first[1] + phase[1] * block), step)
     nodes = nodes * NODE_BLOCKS - phase
     off = np.zeros_like(dtm)
-    _add_plates(nodes, blocks, window, dtm, share > 0, np.array(first), block, off)
+    for node in nodes:
+        _add_plate(node, blocks, window, dtm, share > 0, np.array(first), block, off)
     return dtm + share * off
 
 
@@ -122,51 +122,33 @@ def _nodes(gaps: NDArray[np.bool_], first: tuple[int, int], step: int) -> NDArra
     return np.unique(np.concatenate(around), axis=0)
 
 
-@njit()
-def _add_plates(
-    nodes: NDArray[np.int64], blocks: Grid, window: int,
+def _add_plate(
+    node: NDArray[np.int64], blocks: Grid, window: int,
     dtm: Grid, gaps: NDArray[np.bool_], first: NDArray[np.int64], block: int, off: Grid,
 ) -> None:  # fmt: skip
-    """Add what plates lie above the terrain, whose ``first`` cell is that, each by its weight."""
-    rows, columns = dtm.shape
-    reach = NODE_BLOCKS * block
-    points, plate = np.empty(((2 * window) ** 2, 3)), np.empty((2 * window) ** 2 + 3)
-    for k in range(len(nodes)):
-        n = _rim_around(nodes[k], blocks, window, points)
-        if n < _ENOUGH or not fit_plate(points[:n], _STIFFNESS, plate[: n + 3]):
-            continue
-        low, high = points[0, 2], points[0, 2]
-        for i in range(1, n):
-            low, high = min(low, points[i, 2]), max(high, points[i, 2])
-        r0, c0 = nodes[k, 0] * block - first[0], nodes[k, 1] * block - first[1]
-        for r in range(max(r0 - reach, 0), min(r0 + reach, rows)):
-            for c in range(max(c0 - reach, 0), min(c0 + reach, columns)):
-                if gaps[r, c]:
-                    y, x = (r + 0.5 - r0) / block, (c + 0.5 - c0) / block
-                    height = plate_height(points[:n], plate[: n + 3], x, y)
-                    height = min(max(height, low), high) - dtm[r, c]
-                    near = (1.0 - abs(x) / NODE_BLOCKS) * (1.0 - abs(y) / NODE_BLOCKS)
-                    off[r, c] += near * height
+    """Add what a node's plate lies above the terrain, by its weight; ``first``: cell of that."""
+    points = _rim_around(node, blocks, window)
+    plate = fit_plate(points, _STIFFNESS) if len(points) >= _ENOUGH else None
+    if plate is None:
+        return
+    middle, reach = node * block - first, NODE_BLOCKS * block
+    south, west = np.maximum(middle - reach, 0)
+    north, east = np.maximum(middle + reach, 0)
+    row, column = np.nonzero(gaps[south:north, west:east])
+    at = row + south, column + west
+    y, x = ((axis + 0.5 - m) / block for axis, m in zip(at, middle, strict=True))
+    height = plate_heights(points, plate, x, y)
+    height = np.clip(height, points[:, 2].min(), points[:, 2].max()) - dtm[at]
+    off[at] += (1.0 - np.abs(x) / NODE_BLOCKS) * (1.0 - np.abs(y) / NODE_BLOCKS) * height
 
 
-@njit()
-def _rim_around(node: NDArray[np.int64], blocks: Grid, window: int, points: Grid) -> int:
-    """Fill in blocks at rims, places from the node on; how many, none where ground is sparse."""
-    south, west = max(node[0] - window, 0), max(node[1] - window, 0)
-    north = min(node[0] + window, blocks.shape[0])
-    east = min(node[1] + window, blocks.shape[1])
-    n, held, cells = 0, 0, 0.0
-    for i in range(south, north):
-        for j in range(west, east):
-            if blocks[i, j, 3] == 0:
-                continue
-            held, cells = held + 1, cells + blocks[i, j, 3]
-            empty = 0
-            for row in range(max(i - _RIM, south), min(i + _RIM + 1, north)):
-                for column in range(max(j - _RIM, west), min(j + _RIM + 1, east)):
-                    empty += blocks[row, column, 3] == 0
-            if empty:
-                points[n, 0], points[n, 1] = blocks[i, j, 0] - node[1], blocks[i, j, 1] - node[0]
-                points[n, 2] = blocks[i, j, 2]
-                n += 1
-    return n if cells >= _CELLS * held else 0
+def _rim_around(node: NDArray[np.int64], blocks: Grid, window: int) -> Grid:
+    """Blocks at rims, places from the node on: (n, 3); none where ground is sparse."""
+    south, west = np.maximum(node - window, 0)
+    near = blocks[south : node[0] + window, west : node[1] + window]
+    empty = near[:, :, 3] == 0
+    rim = ~empty & ndimage.maximum_filter(empty, 2 * _RIM + 1, mode="constant")
+    if near[:, :, 3].sum() < _CELLS * np.count_nonzero(~empty):
+        rim[:] = False
+    places: Grid = near[rim][:, :3] - (node[1], node[0], 0)
+    return places

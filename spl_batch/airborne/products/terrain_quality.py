@@ -21,12 +21,12 @@ for no more than the variance by which cells differ beyond what noise alone expl
 It cannot show what no point tells: shrubs or a terrace of fill that were taken for ground.
 """
 
+from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.nearest_cells import distances, nearest_cells
 
 RINGS: Final = (1, 2, 4, 8)
@@ -124,10 +124,9 @@ def terrain_sigma(means: Grid, cell_m: float, scatter: Scatter | None = None) ->
 def _layer_variance(scatter: Scatter, integrals: Grid, differ: Grid, cell_m: float) -> Grid:
     """Variance of ground within the layer of its returns; ``differ``: of means among cells [m2]."""
     shape = scatter.returns.shape
-    planes = np.zeros((5, *shape))
-    everywhere = np.ones(shape, np.bool_)
-    _fit_planes(integrals, everywhere, 2 * rings(cell_m)[-1], (_SLOPE_CELLS, -1), 1, planes)
-    east, north = planes[3:] / cell_m
+    sums = (_boxes(field, 2 * rings(cell_m)[-1], _SLOPE_CELLS) for field in integrals)
+    *_, east, north = _planes(sums, 1)
+    east, north = (np.where(np.isnan(slope), 0.0, slope) / cell_m for slope in (east, north))
     xx, xy, yy, xz, yz, zz = np.moveaxis(scatter.products, -1, 0)
     about = zz - 2 * (east * xz + north * yz)
     about += east * (east * xx + 2 * north * xy) + north * north * yy
@@ -139,7 +138,7 @@ def _layer_variance(scatter: Scatter, integrals: Grid, differ: Grid, cell_m: flo
     given[2], given[3] = count, count > 0
     _add_up(integrals)
     # Differences of sums may fall short of zero by rounding.
-    total, free, returns, cells = np.maximum(_boxes(integrals, AROUND), 0.0)
+    total, free, returns, cells = np.maximum(_boxes(integrals, AROUND, AROUND), 0.0)
     variance = total / np.maximum(free, 1.0)
     each = np.maximum(returns / np.maximum(cells, 1.0), 1.0)
     beyond_noise = np.maximum(differ - variance / each, 0.0)
@@ -155,15 +154,14 @@ def _differences(places: Grid, integrals: Grid, radii: tuple[int, ...]) -> Grid 
     place where one does counts; without any there is nothing: None.
     """
     shape = places.shape[:2]
-    levels, planes = np.empty((len(radii), *shape)), np.empty((5, *shape))
+    levels = np.empty((len(radii), *shape))
     for level, ring in zip(levels, radii, strict=True):
-        planes[:] = np.nan
-        off = _off_ring(places, integrals, 2 * radii[-1], ring, planes)
+        off = _off_ring(places, integrals, 2 * radii[-1], ring)
         known = ~np.isnan(off)
         sums, given = _room(2, shape, AROUND)
         given[0], given[1] = known, np.where(known, off, 0.0)
         _add_up(sums)
-        count, total = _boxes(sums, AROUND)
+        count, total = _boxes(sums, AROUND, AROUND)
         level[:] = np.nan
         np.divide(_HALF_NORMAL * total, count, out=level, where=count > _ENOUGH - 0.5)
     nowhere = np.asarray(np.isnan(levels).all(axis=0))
@@ -182,14 +180,14 @@ def _differences(places: Grid, integrals: Grid, radii: tuple[int, ...]) -> Grid 
     return levels
 
 
-def _off_ring(places: Grid, integrals: Grid, reach: int, ring: int, planes: Grid) -> Grid:
+def _off_ring(places: Grid, integrals: Grid, room: int, ring: int) -> Grid:
     """How far each cell is off the plane of its ring: (rows, columns) [m]; NaN without one.
 
-    ``planes``: room for :func:`_fit_planes`, of NaN.
+    ``integrals``: :func:`_moments` in a room of that reach.
     """
     x, y, z = np.moveaxis(places, -1, 0)
-    _fit_planes(integrals, ~np.isnan(z), reach, (2 * ring, ring - 1), _ENOUGH, planes)
-    middle_x, middle_y, middle_z, east, north = planes
+    sums = (_boxes(field, room, 2 * ring) - _boxes(field, room, ring - 1) for field in integrals)
+    middle_x, middle_y, middle_z, east, north = _planes(sums, _ENOUGH)
     above = east * (x - middle_x) + north * (y - middle_y)
     off: Grid = np.abs(z - (middle_z + above))
     return off
@@ -202,7 +200,7 @@ def _moments(places: Grid, reach: int) -> Grid:
     integrals, field = _room(9, held.shape, reach)
     moments = np.ones_like(x), x, y, z, x * x, x * y, y * y, x * z, y * z
     for room, values in zip(field, moments, strict=True):
-        room[held] = values[held]
+        np.copyto(room, values, where=held)
     _add_up(integrals)
     return integrals
 
@@ -220,57 +218,30 @@ def _add_up(fields: Grid) -> None:
         np.cumsum(fields, axis=axis, out=fields)
 
 
-@njit()
-def _box(integrals: Grid, k: int, r: int, c: int, low: int, high: int) -> float:
-    """Sum of a field over a square, by its corners from a cell on."""
-    summed = integrals[k, r + high, c + high] - integrals[k, r + low, c + high]
-    summed -= integrals[k, r + high, c + low]
-    summed += integrals[k, r + low, c + low]
-    return float(summed)
-
-
-def _boxes(integrals: Grid, reach: int) -> Grid:
-    """Sums over a square around each cell, of what is added up in a :func:`_room` of that reach."""
-    low, high = slice(-2 * reach - 1), slice(2 * reach + 1, None)
-    summed: Grid = integrals[:, high, high] - integrals[:, low, high]
-    summed -= integrals[:, high, low]
-    summed += integrals[:, low, low]
+def _boxes(integrals: Grid, room: int, reach: int) -> Grid:
+    """Sums over a square around each cell, of what is added up in a :func:`_room` of a reach."""
+    low, high = room - reach, room + reach + 1
+    south, west = (slice(low, low + size - 2 * room - 1) for size in integrals.shape[-2:])
+    north, east = (slice(high, high + size - 2 * room - 1) for size in integrals.shape[-2:])
+    summed: Grid = integrals[..., north, east] - integrals[..., south, east]
+    summed -= integrals[..., north, west]
+    summed += integrals[..., south, west]
     return summed
 
 
-@njit()
-def _fit_planes(
-    integrals: Grid, wanted: NDArray[np.bool_], room: int, ring: tuple[int, int], least: int,
-    planes: Grid,
-) -> None:  # fmt: skip
-    """Planes through the ground of a square ring around each cell that is wanted.
+def _planes(sums: Iterator[Grid], least: int) -> tuple[Grid, Grid, Grid, Grid, Grid]:
+    """Planes through the ground around each cell: middle x, y, z and rise to east and north.
 
-    ``integrals``: :func:`_moments` in a room of that reach; ``ring``: how far the ring reaches, and
-    the square that it leaves out, -1 for none [cells]; ``least``: cells with ground in it. Filled:
-    middle x, y, z and rise to east and north, of a cell whose ring holds enough (5, rows, columns).
+    ``sums``: moments over that ground, as :func:`_moments` has them, nine (rows, columns); NaN
+    where it is in fewer cells than ``least``.
     """
-    rows, columns = wanted.shape
-    outer, inner = (room - ring[0], room + 1 + ring[0]), (0, 0)
-    if ring[1] >= 0:
-        inner = room - ring[1], room + 1 + ring[1]
-    sums = np.empty(9)
-    for r in range(rows):
-        for c in range(columns):
-            if not wanted[r, c]:
-                continue
-            for k in range(9):
-                sums[k] = _box(integrals, k, r, c, *outer) - _box(integrals, k, r, c, *inner)
-                if k == 0 and not sums[0] > least - 0.5:
-                    break
-            else:
-                x, y, z = sums[1] / sums[0], sums[2] / sums[0], sums[3] / sums[0]
-                xx, yy = sums[4] / sums[0] - x * x + _DAMPING, sums[6] / sums[0] - y * y + _DAMPING
-                xy = sums[5] / sums[0] - x * y
-                xz, yz = sums[7] / sums[0] - x * z, sums[8] / sums[0] - y * z
-                scale = xx * yy - xy * xy
-                planes[0, r, c], planes[1, r, c], planes[2, r, c] = x, y, z
-                planes[3, r, c] = (yy * xz - xy * yz) / scale
-                planes[4, r, c] = (xx * yz - xy * xz) / scale
+    count = next(sums)
+    count = np.where(count > least - 0.5, count, np.nan)
+    x, y, z = (next(sums) / count for _ in range(3))
+    pairs = ((x, x, _DAMPING), (x, y, 0.0), (y, y, _DAMPING), (x, z, 0.0), (y, z, 0.0))
+    xx, xy, yy, xz, yz = (next(sums) / count - a * b + more for a, b, more in pairs)
+    scale = xx * yy - xy * xy
+    return x, y, z, (yy * xz - xy * yz) / scale, (xx * yz - xy * xz) / scale
 
 
 def _at_distance(levels: Grid, away: Grid, radii: tuple[int, ...]) -> Grid:

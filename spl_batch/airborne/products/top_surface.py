@@ -35,6 +35,7 @@ from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, grow, quanta
 from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.neighbours.kdtree import sort_in
 from spl_batch.numerics.sorting import sort
 
 PIT_M: Final = 2.0
@@ -258,11 +259,7 @@ def _look_through(xyz, p, low, high, nearest):  # type: ignore[no-untyped-def]
             dx, dy = xyz[q, 0] - x, xyz[q, 1] - y
             distance = dx * dx + dy * dy + dz * dz
             if distance < nearest[last] and q != p:
-                k = last
-                while k > 0 and nearest[k - 1] > distance:
-                    nearest[k] = nearest[k - 1]
-                    k -= 1
-                nearest[k] = distance
+                sort_in(nearest, distance)
             q += way
 
 

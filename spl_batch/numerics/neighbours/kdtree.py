@@ -97,7 +97,7 @@ def leaf_of(slot, depth, n):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def _sort_in(nearest, d2):  # type: ignore[no-untyped-def]
+def sort_in(nearest, d2):  # type: ignore[no-untyped-def]
     """Put a squared distance in its place among the nearest; the last one goes."""
     j = len(nearest) - 1
     while j > 0 and nearest[j - 1] > d2:
@@ -106,8 +106,7 @@ def _sort_in(nearest, d2):  # type: ignore[no-untyped-def]
     nearest[j] = d2
 
 
-@njit()
-def search_room(count):  # type: ignore[no-untyped-def]
+def search_room(count: int) -> tuple[NDArray[Any], ...]:
     """Scratch of :func:`nth_distance`: so many distances, branches put off, part of a leaf."""
     return np.empty(count), np.empty(64, np.uint64), np.empty(LANES), np.empty(LANES, np.uint64)
 
@@ -165,7 +164,7 @@ def nth_distance(points, boxes, depth, node, x, y, z, limit, wide, least, room):
                 for k in range(number(some)):
                     if near_by[k] >= nearest[last] or wide[slots[k]] < least:
                         continue
-                    _sort_in(nearest, near_by[k])
+                    sort_in(nearest, near_by[k])
         if climb <= U1:
             return nearest[last]
         stack[0] = climb ^ U1

@@ -6,6 +6,7 @@ what goes to either side of a value is packed side by side (:mod:`~spl_batch.num
 """
 
 import math
+import sys
 from typing import Final
 
 import numpy as np
@@ -36,6 +37,9 @@ SAMPLE: Final = 256
 U0, U1, HALF = np.uint64(0), np.uint64(1), np.uint64(32)
 LOW, FULL = np.uint64(0xFFFF_FFFF), np.uint64(0xFFFF_FFFF_FFFF_FFFF)
 
+_HALVES: Final = (1, 0) if sys.byteorder == "little" else (0, 1)
+"""Which of a word's two numbers of 32 bits is the upper one, and which the lower."""
+
 
 def arrange(xyz: NDArray[np.int32], boxes: NDArray[np.int32], depth: int) -> NDArray[np.int32]:
     """Points, (n, 3) [quanta], n >= 1, in tree order: (4, n) int32, x, y, z and row of each slot.
@@ -45,40 +49,27 @@ def arrange(xyz: NDArray[np.int32], boxes: NDArray[np.int32], depth: int) -> NDA
     read from any slot.
     """
     n = len(xyz)
-    words, lowest = np.empty((2, n + LANES), np.uint64), np.empty(3, np.int64)
-    _to_words(xyz, words, lowest)
+    words = np.empty((2, n + LANES), np.uint64)
+    # The halves of the words, as x, y, z and row; what is above 2**31 wraps there and back.
+    upper, lower = (words.view(np.int32)[:, half : 2 * n : 2] for half in _HALVES)
+    halves = upper[0], lower[0], upper[1], lower[1]
+    lowest = np.array([xyz[:, axis].min() for axis in range(3)])
+    for axis in range(3):
+        np.subtract(xyz[:, axis], lowest[axis], out=halves[axis])
+    halves[3][:] = np.arange(n, dtype=np.int32)
     spare = np.empty_like(words)
-    _divide_all(words[0], words[1], spare[0], spare[1], n, lowest, boxes, depth)
+    _divide_all(
+        words[0], words[1], spare[0], spare[1], n, lowest.astype(np.int64), boxes, depth
+    )  # fmt: skip
     # What comes next fits into the same memory.
     del spare
     flat = np.empty(4 * n + LANES, np.int32)
     flat[4 * n :] = 0
     points = flat[: 4 * n].reshape(4, n)
-    _from_words(words, lowest, points)
+    for axis in range(3):
+        np.add(halves[axis], lowest[axis], out=points[axis])
+    points[3] = halves[3]
     return points
-
-
-@njit()
-def _to_words(xyz: NDArray[np.int32], words: NDArray[np.uint64], lowest: NDArray[np.int64]) -> None:
-    """Fill in ``x << 32 | y`` and ``z << 32 | row`` from the smallest on, which ``lowest`` gets."""
-    x, y, z = xyz[0]
-    for i in range(len(xyz)):
-        x, y, z = min(x, xyz[i, 0]), min(y, xyz[i, 1]), min(z, xyz[i, 2])
-    lowest[0], lowest[1], lowest[2] = x, y, z
-    for i in range(len(xyz)):
-        words[0, i] = np.uint64(xyz[i, 0] - lowest[0]) << HALF | np.uint64(xyz[i, 1] - lowest[1])
-        words[1, i] = np.uint64(xyz[i, 2] - lowest[2]) << HALF | np.uint64(i)
-
-
-@njit()
-def _from_words(
-    words: NDArray[np.uint64], lowest: NDArray[np.int64], points: NDArray[np.int32]
-) -> None:
-    for i in range(points.shape[1]):
-        points[0, i] = np.int64(words[0, i] >> HALF) + lowest[0]
-        points[1, i] = np.int64(words[0, i] & LOW) + lowest[1]
-        points[2, i] = np.int64(words[1, i] >> HALF) + lowest[2]
-        points[3, i] = words[1, i] & LOW
 
 
 @njit()
@@ -146,18 +137,6 @@ def _divide(xy, zr, spare_xy, spare_zr, low, high, axis, most):  # type: ignore[
 
 
 @njit()
-def _sort_in(xy, zr, low, high, axis):  # type: ignore[no-untyped-def]
-    """Sort a few slots along an axis."""
-    for slot in range(low + U1, high):
-        value, first, second = _number_at(xy, zr, slot, axis), xy[slot], zr[slot]
-        at = np.uint64(slot)
-        while at > low and _number_at(xy, zr, at - U1, axis) > value:
-            xy[at], zr[at] = xy[at - U1], zr[at - U1]
-            at -= U1
-        xy[at], zr[at] = first, second
-
-
-@njit()
 def _select(xy, zr, spare_xy, spare_zr, low, high, middle, axis, sample):  # type: ignore[no-untyped-def]
     """Divide slots so that none before ``middle`` is larger along an axis than one after it."""
     while high - low > np.uint64(FEW):
@@ -177,31 +156,20 @@ def _select(xy, zr, spare_xy, spare_zr, low, high, middle, axis, sample):  # typ
             high = cut
         else:
             low = cut
-    _sort_in(xy, zr, low, high, axis)
-
-
-@njit()
-def _extent(xy, zr, low, high, box):  # type: ignore[no-untyped-def]
-    """Smallest x, y, z of some slots, and the largest."""
-    none, full = spread(U0), spread(FULL)
-    x0, y0, z0, x1, y1, z1 = full, full, full, none, none, none
-    for slot in range(low, high, UL):
-        inside = ascending(slot) < spread(high)
-        first, second = load(xy, slot), load(zr, slot)
-        smallest, largest = where(inside, first, full), where(inside, first, none)
-        x0, x1 = lesser(x0, smallest), greater(x1, largest)
-        y0, y1 = lesser(y0, smallest & spread(LOW)), greater(y1, largest & spread(LOW))
-        z0 = lesser(z0, where(inside, second, full))
-        z1 = greater(z1, where(inside, second, none))
-    box[0], box[1], box[2] = least(x0) >> HALF, least(y0), least(z0) >> HALF
-    box[3], box[4], box[5] = greatest(x1) >> HALF, greatest(y1), greatest(z1) >> HALF
+    for slot in range(low + U1, high):
+        value, first, second = _number_at(xy, zr, slot, axis), xy[slot], zr[slot]
+        at = np.uint64(slot)
+        while at > low and _number_at(xy, zr, at - U1, axis) > value:
+            xy[at], zr[at] = xy[at - U1], zr[at - U1]
+            at -= U1
+        xy[at], zr[at] = first, second
 
 
 @njit()
 def _divide_all(xy, zr, spare_xy, spare_zr, n, lowest, boxes, depth):  # type: ignore[no-untyped-def]
     """Split every node at its middle slot along its widest axis, depth first."""
     stack, sample = np.empty(64, dtype=np.int64), np.empty(SAMPLE, dtype=np.uint64)
-    box = np.empty(6, np.int64)
+    box, none, full = np.empty(6, np.int64), spread(U0), spread(FULL)
     stack[0] = 1
     top = 1
     while top > 0:
@@ -212,7 +180,17 @@ def _divide_all(xy, zr, spare_xy, spare_zr, n, lowest, boxes, depth):  # type: i
             level += 1
         j = node - (1 << level)
         low, high = np.uint64((j * n) >> level), np.uint64(((j + 1) * n) >> level)
-        _extent(xy, zr, low, high, box)
+        x0, y0, z0, x1, y1, z1 = full, full, full, none, none, none
+        for slot in range(low, high, UL):
+            inside = ascending(slot) < spread(high)
+            first, second = load(xy, slot), load(zr, slot)
+            smallest, largest = where(inside, first, full), where(inside, first, none)
+            x0, x1 = lesser(x0, smallest), greater(x1, largest)
+            y0, y1 = lesser(y0, smallest & spread(LOW)), greater(y1, largest & spread(LOW))
+            z0 = lesser(z0, where(inside, second, full))
+            z1 = greater(z1, where(inside, second, none))
+        box[0], box[1], box[2] = least(x0) >> HALF, least(y0), least(z0) >> HALF
+        box[3], box[4], box[5] = greatest(x1) >> HALF, greatest(y1), greatest(z1) >> HALF
         axis, width = 0, np.int64(-1)
         for a in range(3):
             boxes[node, a], boxes[node, a + 3] = box[a] + lowest[a], box[a + 3] + lowest[a]

@@ -23,6 +23,7 @@ import math
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.kdtree import (
@@ -33,6 +34,7 @@ from spl_batch.numerics.neighbours.kdtree import (
     U3,
     U4,
     U5,
+    KdTree,
     box_distance,
     leaf_slots,
 )
@@ -53,14 +55,11 @@ FAR: Final = 1e18
 """Farther than anything [quanta]."""
 
 
-@njit()
-def edges_of_leaves(boxes, depth):  # type: ignore[no-untyped-def]
+def edges_of_leaves(tree: KdTree) -> NDArray[np.int32]:
     """Boxes of the leaves, each of their six numbers side by side: (6, m) int32, m > leaves."""
-    first = U1 << np.uint64(depth)
-    edges = np.zeros((6, np.int64(first) + LANES), np.int32)
-    for leaf in range(first):
-        for i in range(6):
-            edges[i, leaf] = boxes[first + leaf, i]
+    leaves = 1 << tree.depth
+    edges = np.zeros((6, leaves + LANES), np.int32)
+    edges[:, :leaves] = tree.boxes[leaves:].T
     return edges
 
 

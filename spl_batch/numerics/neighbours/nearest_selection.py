@@ -28,15 +28,6 @@ GUESSES: Final = 6
 
 
 @njit()
-def count_to(distance, size, limit):  # type: ignore[no-untyped-def]
-    """How many of the first distances are at most ``limit``."""
-    count, end = U0, np.uint64(size)
-    for i in range(U0, end, UL):
-        count += number((load(distance, i) <= spread(limit)) & (ascending(i) < spread(end)))
-    return np.int64(count)
-
-
-@njit()
 def largest(distance, size):  # type: ignore[no-untyped-def]
     """Largest of the first distances, none of which is negative; 0 of none."""
     most, none, end = spread(0.0), spread(0.0), np.uint64(size)
@@ -53,8 +44,8 @@ def within_which(distance, size, wanted, spare, most):  # type: ignore[no-untype
     above ``most``; counts are taken for linear between the limits, as in a plane.
     """
     low, high = -1.0, most
-    below, enough = 0, np.int64(size)
-    step = 0
+    below, enough = np.int64(0), np.int64(size)
+    step, end = 0, np.uint64(size)
     while enough > wanted + spare and high - low > 1.0:
         step += 1
         if step <= GUESSES:
@@ -63,7 +54,10 @@ def within_which(distance, size, wanted, spare, most):  # type: ignore[no-untype
             guess = min(max(guess, low + 1.0), high - 1.0)
         else:
             guess = np.floor(0.5 * (low + high))
-        count = count_to(distance, size, guess)
+        held = U0
+        for i in range(U0, end, UL):
+            held += number((load(distance, i) <= spread(guess)) & (ascending(i) < spread(end)))
+        count = np.int64(held)
         if count >= wanted:
             high, enough = guess, count
         else:

@@ -52,23 +52,6 @@ def _bound_above(points, depth, leaf, slot, k, cap, distance):  # type: ignore[n
 
 
 @njit()
-def _bounds_beside(beside, x, y, z):  # type: ignore[no-untyped-def]
-    """Distances within which a place likely, and surely, has as many as those beside it.
-
-    ``beside`` (4, BESIDE) holds their places, and within which distance they have them.
-    """
-    sure = likely = spread(np.inf)
-    for i in range(U0, np.uint64(BESIDE), UL):
-        dx = load(beside, (U0, i)) - spread(x)
-        dy = load(beside, (U1, i)) - spread(y)
-        dz = load(beside, (U2, i)) - spread(z)
-        apart, has = root(dx * dx + dy * dy + dz * dz), load(beside, (U3, i))
-        sure = lesser(sure, apart + has)
-        likely = lesser(likely, spread(LIKELY) * apart + has)
-    return least(likely), least(sure)
-
-
-@njit()
 def first_limits(points, depth, leaf, slot, k, cap, beside, distance):  # type: ignore[no-untyped-def]
     """Squared distances within which a slot likely, and surely, has k others if the cap's has them.
 
@@ -87,8 +70,16 @@ def first_limits(points, depth, leaf, slot, k, cap, beside, distance):  # type: 
         np.float64(points[U1, slot]),
         np.float64(points[U2, slot]),
     )
-    likely, sure = _bounds_beside(beside, x, y, z)
-    if sure < cap:
-        return math.floor(likely * likely) + 1.0, math.floor(sure * sure) + 1.0
+    # Within them a place likely, and surely, has as many as those beside it.
+    likely = sure = spread(np.inf)
+    for i in range(U0, np.uint64(BESIDE), UL):
+        dx = load(beside, (U0, i)) - spread(x)
+        dy = load(beside, (U1, i)) - spread(y)
+        dz = load(beside, (U2, i)) - spread(z)
+        apart, has = root(dx * dx + dy * dy + dz * dz), load(beside, (U3, i))
+        sure = lesser(sure, apart + has)
+        likely = lesser(likely, spread(LIKELY) * apart + has)
+    if least(sure) < cap:
+        return math.floor(least(likely) ** 2) + 1.0, math.floor(least(sure) ** 2) + 1.0
     found = _bound_above(points, depth, leaf, slot, k, cap, distance)
     return found, found

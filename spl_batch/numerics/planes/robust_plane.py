@@ -20,31 +20,6 @@ of the wide one shows no slope."""
 
 
 @njit()
-def residual(
-    plane: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.float64],
-    w: NDArray[np.float64],
-) -> NDArray[np.float64]:  # fmt: skip
-    """Distance behind the plane along the beam: (n,) float64 [m]."""
-    distance = np.empty(len(w), dtype=np.float64)
-    for i in range(len(w)):
-        distance[i] = w[i] - (plane[0] + plane[1] * u[i] + plane[2] * v[i])
-    return distance
-
-
-@njit()
-def median(values: NDArray[np.float64]) -> float:
-    """Median of at least one value, whose order is changed."""
-    half = len(values) // 2
-    upper = select(values, half)
-    if len(values) % 2:
-        return upper
-    lower = values[0]
-    for i in range(1, half):
-        lower = max(lower, values[i])
-    return float(0.5 * (upper + lower))
-
-
-@njit()
 def spread(distance: NDArray[np.float64], least: float) -> float:
     """Robust spread of residuals: the median of their sizes, as that of a Gaussian.
 
@@ -62,7 +37,14 @@ def spread(distance: NDArray[np.float64], least: float) -> float:
         below += distance[i] < sure
     if below > len(distance) // 2:
         return least
-    return max(median(distance) / GAUSSIAN, least)
+    half = len(distance) // 2
+    median = lower = select(distance, half)
+    if len(distance) % 2 == 0:
+        lower = distance[0]
+        for i in range(1, half):
+            lower = max(lower, distance[i])
+        median = 0.5 * (median + lower)
+    return max(median / GAUSSIAN, least)
 
 
 @njit()

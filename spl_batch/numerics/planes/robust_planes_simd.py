@@ -67,14 +67,8 @@ _of_8, _of_16, _of_24, _of_32, _of_48, _of_64 = (
 
 
 @njit()
-def network_for(size: int) -> int:
-    """Values of the shortest network that takes ``size``; a multiple of 16 where there is none."""
-    return (max(size, 1) + 7) // 8 * 8 if size <= 32 else (size + 15) // 16 * 16
-
-
-@njit()
 def two_in_the_middle(values, size):  # type: ignore[no-untyped-def]
-    """The two in the middle of as many values as :func:`network_for` sorts, by lane."""
+    """The two in the middle of as many values as the network of :func:`_lengths` sorts, by lane."""
     if size <= 16:
         return _of_8(values, U0) if size == 8 else _of_16(values, U0)
     if size <= 32:
@@ -128,7 +122,7 @@ def fit_planes(
     for one in range(sets):
         longest = max(longest, first[one + 1] - first[one])
     order = _by_length(sets, longest, first)
-    room = network_for(longest) * LANES
+    room = (longest + 15) // 16 * 16 * LANES
     x, y, z, weights = np.zeros(room), np.zeros(room), np.zeros(room), np.empty(room)
     distance, sorting = np.empty(room), np.empty(room)
     own, rounds = np.full(LANES, -1, np.int64), np.zeros(LANES, np.int64)
@@ -221,7 +215,8 @@ def _lengths(size: NDArray[np.int64], sizes: NDArray[np.uint64]) -> tuple[int, i
     fewest = most = size[0]
     for lane in range(LANES):
         fewest, most = min(fewest, size[lane]), max(most, size[lane])
-    network = network_for(most)
+    # The shortest network that takes them; a multiple of 16 where there is none.
+    network = (max(most, 1) + 7) // 8 * 8 if most <= 32 else (most + 15) // 16 * 16
     for lane in range(LANES):
         sizes[lane] = size[lane]
         sizes[LANES + lane] = size[lane] + (network - size[lane]) // 2

@@ -165,18 +165,6 @@ def _side(x: NDArray[np.int64], y: NDArray[np.int64], a: int, b: int, p: int) ->
 
 
 @njit()
-def _in_circle(xy: NDArray[np.float64], a: int, b: int, c: int, p: int) -> bool:
-    """Whether p surely lies in the circle through a, b, c, which are counter-clockwise."""
-    ax, ay = xy[a, 0] - xy[p, 0], xy[a, 1] - xy[p, 1]
-    bx, by = xy[b, 0] - xy[p, 0], xy[b, 1] - xy[p, 1]
-    cx, cy = xy[c, 0] - xy[p, 0], xy[c, 1] - xy[p, 1]
-    a2, b2, c2 = ax * ax + ay * ay, bx * bx + by * by, cx * cx + cy * cy
-    bc, cb, ca, ac, ab, ba = bx * cy, cx * by, cx * ay, ax * cy, ax * by, bx * ay
-    size = (abs(bc) + abs(cb)) * a2 + (abs(ca) + abs(ac)) * b2 + (abs(ab) + abs(ba)) * c2
-    return bool(a2 * (bc - cb) + b2 * (ca - ac) + c2 * (ab - ba) > _SURE * size)
-
-
-@njit()
 def _locate(
     x: NDArray[np.int64], y: NDArray[np.int64], corner: NDArray[np.int32],
     across: NDArray[np.int32], used: int, start: int, p: int,
@@ -233,19 +221,11 @@ def _search(
 
 
 @njit(inline="always")
-def _slot(across: NDArray[np.int32], t: int, of: int) -> int:
-    """Corner of a triangle across from which another one lies."""
-    if across[t, 0] == of:
+def _slot(table: NDArray[np.int32], t: int, of: int) -> int:
+    """Corner of a triangle where a vertex stands, or across from which another triangle lies."""
+    if table[t, 0] == of:
         return 0
-    return 1 if across[t, 1] == of else 2
-
-
-@njit(inline="always")
-def _slot_of_edge(corner: NDArray[np.int32], t: int, end: int) -> int:
-    """Corner of a triangle across from the edge that ends at a vertex."""
-    if corner[t, 0] == end:
-        return 1
-    return 2 if corner[t, 1] == end else 0
+    return 1 if table[t, 1] == of else 2
 
 
 @njit()
@@ -278,28 +258,17 @@ def _insert(
             outer[2], outer[3] = across[t, (edge + 1) % 3], across[t, (edge + 2) % 3]
             made[0], made[1], made[2], made[3] = t, n, used, used + 1
             count, used = 4, used + 2
-        _fan(corner, across, p, rim[:count], outer[:count], made[:count])
+        # Triangles from p, their last corner, to each edge of the rim.
         for k in range(count):
-            stack[k] = made[k]
+            beyond, new = int(outer[k]), made[k]
+            # Across from the edge that ends at a corner of the rim stands the next one.
+            across[beyond, (_slot(corner, beyond, int(rim[k])) + 1) % 3] = new
+            corner[new, 0], corner[new, 1], corner[new, 2] = rim[k], rim[(k + 1) % count], p
+            across[new, 0], across[new, 1] = made[(k + 1) % count], made[(k + count - 1) % count]
+            across[new, 2] = beyond
+            stack[k] = new
         last = _turn_edges(xy, x, y, corner, across, stack, count)
     state[0], state[1] = used, last
-
-
-@njit()
-def _fan(
-    corner: NDArray[np.int32], across: NDArray[np.int32], p: int, rim: NDArray[np.int32],
-    outer: NDArray[np.int32], made: NDArray[np.int32],
-) -> None:  # fmt: skip
-    """Triangles from p, their last corner, to each edge of the rim around it."""
-    count = len(rim)
-    for k in range(count):
-        beyond, end = int(outer[k]), int(rim[k])
-        across[beyond, _slot_of_edge(corner, beyond, end)] = made[k]
-        corner[made[k], 0], corner[made[k], 1] = rim[k], rim[(k + 1) % count]
-        corner[made[k], 2] = p
-        across[made[k], 0] = made[(k + 1) % count]
-        across[made[k], 1] = made[(k + count - 1) % count]
-        across[made[k], 2] = outer[k]
 
 
 @njit()
@@ -307,14 +276,21 @@ def _wrong(
     xy: NDArray[np.float64], x: NDArray[np.int64], y: NDArray[np.int64],
     u: int, v: int, p: int, w: int,
 ) -> bool:  # fmt: skip
-    """Whether the edge u, v between p and w has to turn: p lies in the circle of w, v, u."""
+    """Whether the edge u, v between p and w has to turn: p surely lies in the circle of w, v, u."""
     if u == GHOST:
         return _side(x, y, w, v, p) > 0
     if v == GHOST:
         return _side(x, y, u, w, p) > 0
     if w == GHOST:
         return False
-    return _in_circle(xy, w, v, u, p) and _side(x, y, u, w, p) > 0 and _side(x, y, w, v, p) > 0
+    ax, ay = xy[w, 0] - xy[p, 0], xy[w, 1] - xy[p, 1]
+    bx, by = xy[v, 0] - xy[p, 0], xy[v, 1] - xy[p, 1]
+    cx, cy = xy[u, 0] - xy[p, 0], xy[u, 1] - xy[p, 1]
+    a2, b2, c2 = ax * ax + ay * ay, bx * bx + by * by, cx * cx + cy * cy
+    bc, cb, ca, ac, ab, ba = bx * cy, cx * by, cx * ay, ax * cy, ax * by, bx * ay
+    size = (abs(bc) + abs(cb)) * a2 + (abs(ca) + abs(ac)) * b2 + (abs(ab) + abs(ba)) * c2
+    surely_in = a2 * (bc - cb) + b2 * (ca - ac) + c2 * (ab - ba) > _SURE * size
+    return surely_in and _side(x, y, u, w, p) > 0 and _side(x, y, w, v, p) > 0
 
 
 @njit()
@@ -340,8 +316,8 @@ def _turn_edges(
         behind_vp = across[t, 0]
         corner[t, 1] = w
         corner[n, 0], corner[n, 1], corner[n, 2] = w, v, p
-        across[behind_uw, _slot_of_edge(corner, behind_uw, u)] = t
-        across[behind_vp, _slot_of_edge(corner, behind_vp, v)] = n
+        across[behind_uw, (_slot(corner, behind_uw, u) + 1) % 3] = t
+        across[behind_vp, (_slot(corner, behind_vp, v) + 1) % 3] = n
         across[t, 0], across[t, 2] = n, behind_uw
         across[n, 0], across[n, 1], across[n, 2] = behind_vp, t, behind_wv
         stack[count], stack[count + 1] = t, n

@@ -144,18 +144,10 @@ def locate_one(
             return OUTSIDE, t
         t = beyond
     for t in range(len(facets)):  # a walk that rounding kept going round: look everywhere
-        if _holds(xyz, facets, t, px, py):
+        one, two, three = _weights(xyz, facets, t, px, py)
+        if min(one, two, three) >= -_EDGE_SLACK * (one + two + three):
             return t, t
     return OUTSIDE, start
-
-
-@njit(inline="always")
-def _holds(
-    xyz: NDArray[np.float64], facets: NDArray[np.int32], t: int, px: float, py: float
-) -> bool:
-    """Whether a triangle or its edges hold p."""
-    one, two, three = _weights(xyz, facets, t, px, py)
-    return min(one, two, three) >= -_EDGE_SLACK * (one + two + three)
 
 
 @njit(inline="always")
@@ -208,7 +200,10 @@ def _first_around(
             for m in range(3):
                 if neighbours[here, m] != came and weights[m] <= near and towards in (m, -1):
                     beyond = neighbours[here, m]
-            if beyond < 0 or beyond == found or not _holds(xyz, facets, beyond, px, py):
+            if beyond < 0 or beyond == found:
+                break
+            one, two, three = _weights(xyz, facets, beyond, px, py)
+            if min(one, two, three) < -_EDGE_SLACK * (one + two + three):
                 break
             first = min(first, beyond)
             came, here, towards = here, beyond, -1
@@ -284,30 +279,18 @@ def vertex_slopes(tin: Tin) -> NDArray[np.float64]:
     (v, 2) float64
         To the east and to the north [rise/run]; zero at a vertex that no triangle needs.
     """
-    sums = np.zeros((len(tin.xyz), 3))
-    _add_slopes(tin.xyz, tin.facets, tin.planes, sums)
-    slopes: NDArray[np.float64] = sums[:, 1:] / np.where(sums[:, :1] > 0.0, sums[:, :1], 1.0)
+    corner = tin.facets.astype(np.int64)
+    (ax, bx, cx), (ay, by, cy) = (np.take(tin.xyz[:, axis], corner.T) for axis in (0, 1))
+    area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+    sides = ((ax - bx, ay - by), (bx - cx, by - cy), (cx - ax, cy - ay))
+    longest2 = np.max([east * east + north * north for east, north in sides], axis=0)
+    weight = area * area / longest2
+    # Of the triangles around each vertex: weights, and slopes times weights.
+    of_facet = weight, weight * tin.planes[:, 0], weight * tin.planes[:, 1]
+    total, *summed = (
+        np.bincount(corner.ravel(), np.repeat(values, 3), len(tin.xyz)) for values in of_facet
+    )
+    slopes: NDArray[np.float64] = (
+        np.column_stack(summed) / np.where(total > 0.0, total, 1.0)[:, None]
+    )
     return slopes
-
-
-@njit()
-def _add_slopes(
-    xyz: NDArray[np.float64],
-    facets: NDArray[np.int32],
-    planes: NDArray[np.float64],
-    out: NDArray[np.float64],
-) -> None:
-    """Weights, and slopes times weights, of the triangles around each vertex."""
-    for t in range(len(facets)):
-        a, b, c = facets[t]
-        area = (xyz[b, 0] - xyz[a, 0]) * (xyz[c, 1] - xyz[a, 1])
-        area -= (xyz[b, 1] - xyz[a, 1]) * (xyz[c, 0] - xyz[a, 0])
-        longest2 = 0.0
-        for one, other in ((a, b), (b, c), (c, a)):
-            east, north = xyz[one, 0] - xyz[other, 0], xyz[one, 1] - xyz[other, 1]
-            longest2 = max(longest2, east * east + north * north)
-        weight = area * area / longest2
-        for v in (a, b, c):
-            out[v, 0] += weight
-            out[v, 1] += weight * planes[t, 0]
-            out[v, 2] += weight * planes[t, 1]

@@ -185,23 +185,29 @@ def test_surface_differences_use_the_highest_reference_point_of_each_cell():
     ref = reference(
         (6, roof),
         (2, [[10.6, 10.6, 3.0], [30.5, 30.5, 3.0]]),
-        (1, [[10.7, 10.6, 11.0], [20.5, 20.5, 8.0], [20.6, 20.6, 9.0]]),
+        (1, [[10.7, 10.6, 11.0], [20.6, 20.6, 9.0], [20.5, 20.5, 8.0]]),
         (9, [[5.5, 5.5, 2.0]]),
+        # Of two as high the larger class counts, whichever comes first.
+        (6, [[25.5, 25.5, 7.0], [27.5, 27.5, 7.0]]),
+        (2, [[25.6, 25.5, 7.0]]),
+        (9, [[27.6, 27.5, 7.0]]),
+        # A higher class does not make up for height.
+        (6, [[30.5, 30.6, 1.0]]),
         (7, [[5.6, 5.6, 90.0]]),
     )
     d = surface_differences(flat(12.5), ref)
     assert {k: len(v) for k, v in d.items()} == {
-        "all": 28,
+        "all": 30,
         "ground": 1,
-        "water": 1,
+        "water": 2,
         "building": 9,
-        "building_edge": 16,
+        "building_edge": 17,
         "vegetation": 1,
     }
     assert (d["building"] == 0.5).all()
     assert d["vegetation"] == [3.5]
     assert d["ground"] == [9.5]
-    assert d["water"] == [10.5]
+    assert sorted(d["water"]) == [5.5, 10.5]
 
 
 def test_nothing_to_compare_gives_nulls_that_json_can_hold():

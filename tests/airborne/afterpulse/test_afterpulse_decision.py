@@ -12,7 +12,7 @@ from spl_batch.airborne.afterpulse.weighted_counts import UNIT, weigh_around
 from spl_batch.airborne.beams.shot_runs import beamlets_of
 from spl_batch.airborne.settings import AfterpulseSettings
 from spl_batch.airborne.steps import STEPS
-from spl_batch.lattice.lattice_columns import columns
+from spl_batch.lattice.lattice_columns import columns, most_around
 from spl_batch.lattice.tables import PointFlag, PointTable, canonical_order
 from tests.airborne.filter.test_denoise import as_table
 
@@ -130,7 +130,7 @@ def test_what_lies_behind_a_plane_is_that_of_a_plain_loop(seed: int, n: int, slo
     out, tilt = np.empty(n, np.bool_), np.empty((n, 2))
     behind_plane(
         made, true, np.arange(n, dtype=np.int32), parents, (wide, high, thick),
-        share, least, out, tilt,
+        share, least, out, tilt, np.empty((3, most_around(made))),
     )  # fmt: skip
     for q in range(n):
         d = xyz - xyz[q]

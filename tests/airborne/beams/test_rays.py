@@ -1,5 +1,6 @@
 """Lines of sight beside plain numpy."""
 
+import statistics
 from itertools import pairwise
 from typing import Any
 
@@ -60,15 +61,23 @@ def test_beams_meet_the_plane_of_their_block(seed: int) -> None:
     rng = np.random.default_rng(seed)
     returns, origin, direction = scene(seed)
     start = starts_of(rng, len(origin))
-    size = np.diff(start)
-    place, anchor = np.empty((len(origin), 2)), np.empty((len(size), 3))
-    meet_planes(start, returns[2], STEP_M, origin, direction, place, anchor)
-    level = [np.median(z * STEP_M) for z in np.split(returns[2], start[1:-1])]
-    away = (np.repeat(level, size) - origin[:, 2]) / direction[:, 2]
-    met = origin[:, :2] + away[:, None] * direction[:, :2]
-    np.testing.assert_array_equal(anchor[:, :2], np.rint(met[start[:-1]]))
-    np.testing.assert_array_equal(anchor[:, 2], level)
-    np.testing.assert_array_equal(place, met - np.repeat(anchor[:, :2], size, axis=0))
+    place, anchor = meet_planes(start, returns[2], STEP_M, origin, direction)
+    for b, (first, end) in enumerate(pairwise(start)):
+        level = statistics.median(z * STEP_M for z in returns[2][first:end].tolist())
+        assert anchor[b, 2] == level
+        for row in range(first, end):
+            away = (level - origin[row, 2]) / direction[row, 2]
+            met = [origin[row, axis] + away * direction[row, axis] for axis in (0, 1)]
+            if row == first:
+                assert anchor[b, :2].tolist() == [round(at) for at in met]
+            assert place[row].tolist() == [met[axis] - anchor[b, axis] for axis in (0, 1)]
+
+
+def test_without_returns_there_are_no_planes() -> None:
+    none = np.zeros((0, 3))
+    place, anchor = meet_planes(np.zeros(1, np.int64), np.zeros(0, np.int32), 1.0, none, none)
+    assert place.shape == (0, 2)
+    assert anchor.shape == (0, 3)
 
 
 @settings(deadline=None)

@@ -65,8 +65,7 @@ def test_rings_are_those_of_least_squares() -> None:
     integrals = _moments(means, 2 * RINGS[-1])
     row, column = np.indices(held.shape)
     for ring in RINGS[:3]:
-        planes = np.full((5, *held.shape), np.nan)
-        off = _off_ring(means, integrals, 2 * RINGS[-1], ring, planes)
+        off = _off_ring(means, integrals, 2 * RINGS[-1], ring)
         for r, c in np.argwhere(held)[::9]:
             away = np.maximum(abs(row - r), abs(column - c))
             near = means[held & (away >= ring) & (away <= 2 * ring)]
@@ -85,10 +84,11 @@ def test_boxes_hold_what_lies_in_them() -> None:
         expected = ndimage.correlate(
             values, np.ones((2 * reach + 1, 2 * reach + 1)), mode="constant"
         )
-        room, inner = _room(1, values.shape, reach)
-        inner[0] = values
-        _add_up(room)
-        assert np.allclose(_boxes(room, reach)[0], expected)
+        for more in (0, 2):
+            room, inner = _room(1, values.shape, reach + more)
+            inner[0] = values
+            _add_up(room)
+            assert np.allclose(_boxes(room, reach + more, reach)[0], expected)
 
 
 def returns(heights: Float) -> tuple[Float, NDArray[np.int64]]:

@@ -27,10 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.filter.ellipsoid.ellipsoid_shape import (
+    Bodies,  # noqa: F401 - named in signatures.json
     Shape,
-    covariance,
     fit,
-    half_extents,
     lone_body,
     no_bodies,
     offsets,
@@ -57,7 +56,7 @@ from spl_batch.numerics.neighbours.kdtree import (
     search_room,
 )
 from spl_batch.numerics.neighbours.nearest import edges_of_leaves, neighbours_of_leaves
-from spl_batch.numerics.poisson import critical_by_logs, log_factorials, tail_by_logs
+from spl_batch.numerics.poisson import critical_by_logs, tail_by_logs
 from spl_batch.numerics.simd import (
     LANES,
     UL,
@@ -168,8 +167,9 @@ def count_inside(
         limit = np.broadcast_to(np.asarray(alpha, dtype=np.float64), (len(xyz),))
         limit = np.ascontiguousarray(limit)
         _count_all(
-            *tree, query, density, float(unit) ** 3, shape, limit, at_most, spacing, rule, ratio2,
-            tie, count, expected, tail,
+            *tree, edges_of_leaves(tree), query, density, float(unit) ** 3, shape, limit, at_most,
+            spacing, rule, ratio2, tie, no_bodies(), search_room(rule.neighbours + 1), count,
+            expected, tail,
         )  # fmt: skip
     return count, expected, tail
 
@@ -265,13 +265,14 @@ def _neighbours(  # type: ignore[no-untyped-def]
 
 @njit()
 def _count_all(  # type: ignore[no-untyped-def]
-    points, boxes, depth, query, density, volume, shape, alpha, at_most, space, rule, ratio2, tie,
-    count, expected, tail,
+    points, boxes, depth, edges, query, density, volume, shape, alpha, at_most, space, rule,
+    ratio2, tie, bodies, spare, count, expected, tail,
 ):  # fmt: skip
     """Every query point in tree order, so that the cache stays warm."""
     n, depth = np.uint64(points.shape[1]), np.uint64(depth)
-    edges = edges_of_leaves(boxes, depth)
-    leaves, chunk = U1 << depth, np.uint64(CHUNK)
+    leaves, chunk, logs = U1 << depth, np.uint64(CHUNK), np.empty(LOGS)
+    for i in range(LOGS):
+        logs[i] = math.lgamma(i + 1.0)
     room = min(chunk, leaves) * np.uint64(LEAF)
     others = np.empty((room, shape.neighbours), dtype=np.int32)
     found, last = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.float64)
@@ -287,22 +288,12 @@ def _count_all(  # type: ignore[no-untyped-def]
             asked[at], noise[at] = query[row], density[row] / volume
             level[at] = min(alpha[row], at_most)
         _neighbours(
-            points,
-            boxes,
-            edges,
-            depth,
-            (begin, end),
-            asked,
-            shape,
-            space,
-            rule,
-            others,
-            found,
+            points, boxes, edges, depth, (begin, end), asked, shape, space, rule, others, found,
             last,
-        )
+        )  # fmt: skip
         _count_some(
             points, boxes, depth, (low, high), asked, noise, shape, level, space, rule, ratio2,
-            tie, others, found, last, counted, mean, score,
+            tie, bodies, spare, logs, others, found, last, counted, mean, score,
         )  # fmt: skip
         for at in range(high - low):
             if asked[at]:
@@ -314,23 +305,20 @@ def _count_all(  # type: ignore[no-untyped-def]
 
 @njit()
 def _count_some(  # type: ignore[no-untyped-def]  # noqa: C901
-    points, boxes, depth, slots, asked, density, shape, alpha, space, rule, ratio2, tie, others,
-    found, last, count, expected, tail,
+    points, boxes, depth, slots, asked, density, shape, alpha, space, rule, ratio2, tie, bodies,
+    spare, logs, others, found, last, count, expected, tail,
 ):  # fmt: skip
     """Points asked for of a range of slots; all arrays but the tree's start at the first."""
     n = np.uint64(points.shape[1])
     near = np.zeros((LANES, 5, shape.neighbours + LANES))
-    bodies, members, held = no_bodies(), np.empty(LANES, np.uint64), U0
-    stack, spare = np.empty(64, dtype=np.uint64), search_room(rule.neighbours + 1)
-    quadric, vectors = np.empty(6), np.empty((3, 3))
+    members, held = np.empty(LANES, np.uint64), U0
+    stack, quadric, vectors = np.empty(64, np.uint64), np.empty(6), np.empty((3, 3))
     axes, half, outer = np.empty(3), np.empty(3), np.empty(1)
     known, level, stop, least, log_mean = -1.0, -1.0, 1, 1.0, 0.0
-    logs = log_factorials(LOGS)
     for last_slot in range(slots[0], slots[1]):
         at = last_slot - slots[0]
         if asked[at]:
-            offsets(points, last_slot, others, at, found[at], near, held)
-            covariance(near, held, found[at], bodies.moments, held)
+            offsets(points, last_slot, others, at, found[at], near, held, bodies.moments)
             bodies.found[held], members[held] = found[at], last_slot
             held += U1
         # Eight are shaped at a time.
@@ -360,8 +348,7 @@ def _count_some(  # type: ignore[no-untyped-def]  # noqa: C901
             if found[at] == shape.neighbours:
                 reach = math.sqrt(last[at])
             if inside < stop and bodies.axes[U0, member] > reach:
-                lone_body(bodies, member, quadric, vectors, axes)
-                half_extents(vectors, axes, half)
+                lone_body(bodies, member, quadric, vectors, axes, half)
                 inside = walk(
                     points, boxes, depth, leaf_of(slot, depth, n), slot, quadric, vectors, axes,
                     half, stop, stack, space, rule, ratio2, spare, outer,

@@ -57,12 +57,16 @@ def shape_of(settings: FilterSettings, neighbours: int, radius_m: float) -> Shap
 
 
 @njit(fastmath={"reassoc"})
-def covariance(near, member, found, moments, column):  # type: ignore[no-untyped-def]
-    """Covariance of neighbours; the sums are whole numbers, in any order.
+def offsets(points, slot, others, at, found, near, member, moments):  # type: ignore[no-untyped-def]
+    """Offsets of a slot's neighbours, and their covariance; sums of whole numbers, in any order.
 
-    ``near`` (m, 3, k) has the offsets of the neighbours of some members, a column of ``moments``
-    (6, m) receives xx, xy, xz, yy, yz, zz.
+    ``others``: slots of the neighbours, in row ``at``. Of a member, ``near`` (m, 3, k) receives the
+    offsets [quanta], and ``moments`` (6, m) xx, xy, xz, yy, yz, zz.
     """
+    for axis in range(U3):
+        own = np.float64(points[axis, slot])
+        for i in range(found):
+            near[member, axis, i] = points[axis, np.uint64(others[at, i])] - own
     sx = sy = sz = 0.0
     sxx = sxy = sxz = syy = syz = szz = 0.0
     for i in range(found):
@@ -78,12 +82,12 @@ def covariance(near, member, found, moments, column):  # type: ignore[no-untyped
         szz += dz * dz
     n = np.float64(found) if found > 0 else 1.0
     scale = 1.0 / (n * n)
-    moments[0, column] = (n * sxx - sx * sx) * scale
-    moments[1, column] = (n * sxy - sx * sy) * scale
-    moments[2, column] = (n * sxz - sx * sz) * scale
-    moments[3, column] = (n * syy - sy * sy) * scale
-    moments[4, column] = (n * syz - sy * sz) * scale
-    moments[5, column] = (n * szz - sz * sz) * scale
+    moments[0, member] = (n * sxx - sx * sx) * scale
+    moments[1, member] = (n * sxy - sx * sy) * scale
+    moments[2, member] = (n * sxz - sx * sz) * scale
+    moments[3, member] = (n * syy - sy * sy) * scale
+    moments[4, member] = (n * syz - sy * sz) * scale
+    moments[5, member] = (n * szz - sz * sz) * scale
 
 
 @njit()
@@ -137,16 +141,6 @@ def flag(q, dx, dy, dz):  # type: ignore[no-untyped-def]
     )
 
 
-@njit()
-def half_extents(vectors, axes, half):  # type: ignore[no-untyped-def]
-    """Half-extents of the ellipsoid's bounding box, rounded up."""
-    for axis in range(3):
-        total = 0.0
-        for i in range(3):
-            total += (axes[i] * vectors[i, axis]) ** 2
-        half[axis] = math.sqrt(total) + 1.0
-
-
 class Bodies(NamedTuple):
     """Ellipsoids of eight points at a time, one to a column."""
 
@@ -165,8 +159,7 @@ class Bodies(NamedTuple):
     rows: NDArray[np.float64]
 
 
-@njit()
-def no_bodies():  # type: ignore[no-untyped-def]
+def no_bodies() -> Bodies:
     """Room for :class:`Bodies`."""
     return Bodies(
         np.zeros(LANES, np.int64), np.zeros((6, LANES)), np.zeros((6, LANES)),
@@ -193,20 +186,19 @@ def fit(bodies, shape):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def lone_body(bodies, member, quadric, vectors, axes):  # type: ignore[no-untyped-def]
-    """One of them as arrays of its own: (6,), (3, 3) by rows, (3,)."""
+def lone_body(bodies, member, quadric, vectors, axes, half):  # type: ignore[no-untyped-def]
+    """One of them as arrays of its own: (6,), (3, 3) by rows, (3,).
+
+    ``half`` (3,): half-extents of its bounding box, rounded up.
+    """
     for i in range(3):
         axes[i] = bodies.axes[i, member]
         for j in range(3):
             vectors[i, j] = bodies.vectors[3 * i + j, member]
     for i in range(6):
         quadric[i] = bodies.quadrics[i, member]
-
-
-@njit(inline="always")
-def offsets(points, slot, others, at, found, near, member):  # type: ignore[no-untyped-def]
-    """Fill in the offsets of a slot's neighbours, row ``at`` of ``others`` [quanta]."""
-    for axis in range(U3):
-        own = np.float64(points[axis, slot])
-        for i in range(found):
-            near[member, axis, i] = points[axis, np.uint64(others[at, i])] - own
+    for axis in range(3):
+        total = 0.0
+        for i in range(3):
+            total += (axes[i] * vectors[i, axis]) ** 2
+        half[axis] = math.sqrt(total) + 1.0

@@ -148,16 +148,16 @@ def peer_distances(
     if tree.points.size:
         wide = spacing * (peer_ratio * peer_ratio)
         limit = np.ascontiguousarray(np.broadcast_to(np.square(np.float64(radius)), len(places)))
-        _distances(tree.points, tree.boxes, tree.depth, wide, places, own, limit, wanted, squared)
+        room = search_room(wanted)
+        _distances(tree.points, tree.boxes, tree.depth, wide, places, own, limit, room, squared)
     distance: NDArray[np.float64] = np.sqrt(squared)
     return distance
 
 
 @njit()
-def _distances(points, boxes, depth, wide, places, own, limit, wanted, out):  # type: ignore[no-untyped-def]
+def _distances(points, boxes, depth, wide, places, own, limit, room, out):  # type: ignore[no-untyped-def]
     """Squared distance to the n-th peer."""
     depth = np.uint64(depth)
-    room = search_room(wanted)
     for i in range(len(places)):
         x, y, z = np.float64(places[i, 0]), np.float64(places[i, 1]), np.float64(places[i, 2])
         out[i] = nth_distance(

@@ -22,8 +22,9 @@ import math
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from spl_batch.lattice.lattice_columns import Columns, columns_around, first_above
+from spl_batch.lattice.lattice_columns import Columns, first_above, most_around
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.kdtree import U0, U1, U2, U3
 from spl_batch.numerics.simd import UL, ascending, load, number, pack, spread
@@ -45,6 +46,8 @@ WORDS: Final = 5
 
 UW = np.uint64(WORDS)
 
+Float = NDArray[np.float64]
+
 
 @njit(inline="always")
 def half_turn(x, y):  # type: ignore[no-untyped-def]
@@ -63,48 +66,42 @@ def half_turn(x, y):  # type: ignore[no-untyped-def]
     return angle
 
 
-@njit(inline="always")
-def grid(reach, radius, slope_max):  # type: ignore[no-untyped-def]
-    """Edge of a cell of direction [rad], cells of azimuth, and of slope without the rim."""
-    step = CELL * radius / reach
-    step = max(step, math.pi / TURNS, 2.0 * slope_max / (LEVELS - 2 * PAD - 1))
-    turns = np.int64(math.pi / step)
+def grid(
+    reach: Float, radius: float, slope_max: float
+) -> tuple[Float, NDArray[np.int64], NDArray[np.int64]]:
+    """Edge of a cell of direction [rad], cells of azimuth, and of slope without the rim.
+
+    Of tubes of half-lengths ``reach`` and half-width ``radius`` [quanta].
+    """
+    most = max(math.pi / TURNS, 2.0 * slope_max / (LEVELS - 2 * PAD - 1))
+    turns = (math.pi / np.maximum(CELL * radius / reach, most)).astype(np.int64)
     step = math.pi / turns
-    return step, turns, np.int64(2.0 * slope_max / step) + 1
+    return step, turns, (2.0 * slope_max / step).astype(np.int64) + 1
 
 
-@njit()
-def tube_volume(reach, least, step):  # type: ignore[no-untyped-def]
+def tube_volume(reach: Float, least: float, step: Float) -> Float:
     """Volume of all windows along one direction [quanta3]."""
-    volume = 0.0
-    far = reach
-    for half in (1.5, 3.5, 7.5):
-        near = max(least, 0.5 * far if half < 7.0 else 0.0)
-        if near < far:
-            volume += 8.0 / 3.0 * (half * step) ** 2 * (far**3 - near**3)
+    volume, far = np.zeros(len(reach)), reach
+    for half, part in ((1.5, 0.5), (3.5, 0.5), (7.5, 0.0)):
+        near = np.maximum(least, part * far)
+        length3 = np.maximum(far * far * far - near * near * near, 0.0)
+        volume += 8.0 / 3.0 * (half * step) ** 2 * length3
         far = near
     return volume
 
 
 @njit()
-def _first_with(cells, size, most):  # type: ignore[no-untyped-def]
-    """First cell with a count, of those that have it; stretches without are passed in vectors."""
-    for begin in range(U0, size, STRETCH):
-        end = min(begin + STRETCH, size)
-        equal = np.uint16(0)
-        for i in range(begin, end):
-            equal += np.uint16(cells[i] == most)
-        if equal > 0:
-            for i in range(begin, end):
-                if cells[i] == most:
-                    return i
-    return size
-
-
-@njit()
 def _middle(cells, most, turns, rows, lanes):  # type: ignore[no-untyped-def]
     """Centre of the first cell with the largest count and of its equals beside it [cells]."""
-    first = np.int64(_first_with(cells, np.uint64(turns * lanes), np.uint16(most)))
+    # Stretches without one are passed in vectors.
+    begin, there = U0, np.uint16(0)
+    while there == 0:
+        for i in range(begin, min(begin + STRETCH, np.uint64(turns * lanes))):
+            there += np.uint16(cells[i] == most)
+        begin += STRETCH
+    first = np.int64(begin - STRETCH)
+    while cells[first] != most:
+        first += 1
     a, b = first // lanes, first % lanes
     total_a = total_b = equal = 0
     for i in range(a, min(a + 3, turns)):
@@ -116,15 +113,16 @@ def _middle(cells, most, turns, rows, lanes):  # type: ignore[no-untyped-def]
     return total_a / equal + 0.5, total_b / equal + 0.5
 
 
-@njit()
-def _masks():  # type: ignore[no-untyped-def]
+def _masks() -> NDArray[np.uint64]:
     """Ones in the lanes of a window, by its size and first lane, over as many words."""
     masks = np.zeros((3, 4, WORDS), np.uint64)
-    for size in range(3):
-        for first in range(4):
-            for lane in range(first, first + 2 * (2 << size) - 1):
-                masks[size, first, lane >> 2] |= np.uint64(1) << np.uint64(16 * (lane & 3))
+    for size, first in np.ndindex(3, 4):
+        for lane in range(first, first + 2 * (2 << size) - 1):
+            masks[size, first, lane >> 2] |= np.uint64(1) << np.uint64(16 * (lane & 3))
     return masks
+
+
+_MASKS = _masks()
 
 
 @njit(error_model="numpy")
@@ -141,8 +139,9 @@ def _directions(dx, dy, flat, rise, near, reach, step, slope_max, turns, levels,
 
 
 @njit()
-def _vote(words, masks, turn, level, size, near, turns, levels, stride):  # type: ignore[no-untyped-def]
-    """Add every neighbour to the directions that pass it: four cells to a word."""
+def _vote(words, cells, turn, level, size, near, turns, levels, stride):  # type: ignore[no-untyped-def]
+    """Add every neighbour to the directions that pass it, four cells to a word: largest count."""
+    masks = _MASKS
     for k in range(near):
         half = (2 << size[k]) - 1
         a, b = turn[k], level[k]
@@ -169,30 +168,10 @@ def _vote(words, masks, turn, level, size, near, turns, levels, stride):  # type
             if wide > U1:
                 for j in range(U3, UW):
                     words[at + j] += masks[wide, lane, j]
-
-
-@njit()
-def _largest_count(cells, size):  # type: ignore[no-untyped-def]
-    """Largest of the first cells."""
     most = np.uint16(0)
-    for i in range(size):
+    for i in range(4 * turns * stride):
         most = max(most, cells[i])
     return np.int64(most)
-
-
-@njit()
-def _fullest_window(start, nx, ny, span):  # type: ignore[no-untyped-def]
-    """Most points in the columns around one [count]."""
-    most = 0
-    for a in range(nx):
-        i0, i1 = columns_around(a, span, nx)
-        for b in range(ny):
-            j0, j1 = columns_around(b, span, ny)
-            held = 0
-            for i in range(i0, i1):
-                held += start[i * ny + j1] - start[i * ny + j0]
-            most = max(most, held)
-    return most
 
 
 @njit()
@@ -217,11 +196,11 @@ def _cone(  # type: ignore[no-untyped-def]
     return near
 
 
-@njit()
-def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
-    made: Columns, seed, length, density, largest, radius, least, slope_max, bend, count, azimuth,
-    slope, expected,
-):  # fmt: skip
+def fullest(
+    made: Columns, seed: NDArray[np.int32], length: Float, density: Float, largest: Float,
+    radius: float, least: float, slope_max: float, bend: float, count: NDArray[np.int32],
+    azimuth: Float, slope: Float, expected: Float,
+) -> None:  # fmt: skip
     """Fullest tube of every seed, column by column, each column from below.
 
     ``seed`` (n,) has the number of the seed by row, negative for points that are none; ``length``
@@ -229,19 +208,34 @@ def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
     lambda at which so many returns make a tube worth keeping. ``count``, 0 where it is not,
     ``azimuth``, ``slope`` and ``expected`` are filled, (m,) by seed.
     """
+    longest = float(length.max(initial=0.0))
+    span = int(longest / made.edge) + 1
+    cells = grid(length, radius, slope_max)
+    volume = tube_volume(length, least, cells[0])
+    _fullest(
+        made, seed, length, density, largest, cells, volume, least, slope_max, bend, longest, span,
+        most_around(made, span), count, azimuth, slope, expected,
+    )  # fmt: skip
+
+
+@njit()
+def _fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
+    made, seed, length, density, largest, grids, volume, least, slope_max, bend, longest, span,
+    room, count, azimuth, slope, expected,
+):  # fmt: skip
+    """:func:`fullest`, given :func:`grid` and volumes of the tubes.
+
+    ``longest``: of their half-lengths; ``span``: columns that it reaches; ``room``: most points in
+    these [count].
+    """
     points, start, edge, corner = made.points, made.start, made.edge, made.corner
     nx, ny = made.shape
-    longest = 0.0
-    for i in range(len(length)):
-        longest = max(longest, length[i])
-    span = np.int64(longest / edge) + 1
     steep = slope_max * slope_max
     # Neighbour columns: their slots between floor and stop in the window, their lower corners.
     first = np.empty((2 * span + 1) ** 2, np.int64)
     last, floor, stop = np.empty_like(first), np.empty_like(first), np.empty_like(first)
     place = np.empty((2, len(first)))
     # Arrays that stay as they are: numba counts references to each view.
-    room = _fullest_window(start, nx, ny, span)
     dx, dy, flat, rise = (
         np.empty(room + 8),
         np.empty(room + 8),
@@ -249,7 +243,7 @@ def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
         np.empty(room + 8),
     )
     turn, level = np.empty(room, np.int32), np.empty(room, np.int32)
-    size, masks = np.empty(room, np.int32), _masks()
+    size = np.empty(room, np.int32)
     words = np.zeros((TURNS + 1) * (LEVELS // 4 + 1), np.uint64)
     cells = words.view(np.uint16)
     for a in range(nx):
@@ -264,10 +258,8 @@ def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
                     continue
                 if beside < 0:
                     beside = 0
-                    i0, i1 = columns_around(a, span, nx)
-                    j0, j1 = columns_around(b, span, ny)
-                    for i in range(i0, i1):
-                        for j in range(j0, j1):
+                    for i in range(max(a - span, 0), min(a + span + 1, nx)):
+                        for j in range(max(b - span, 0), min(b + span + 1, ny)):
                             gap = math.hypot(max(abs(i - a) - 1, 0), max(abs(j - b) - 1, 0))
                             column = i * ny + j
                             if gap * edge >= longest or start[column] == start[column + 1]:
@@ -309,7 +301,7 @@ def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
                         points, np.uint64(low), np.uint64(high), np.float64(x), np.float64(y),
                         np.float64(z), bend, steep, outer, inner, near, dx, dy, flat, rise,
                     )  # fmt: skip
-                step, turns, levels = grid(reach, radius, slope_max)
+                step, turns, levels = grids[0][at], grids[1][at], grids[2][at]
                 _directions(
                     dx, dy, flat, rise, near, reach, step, slope_max, turns, levels, turn, level,
                     size,
@@ -317,14 +309,13 @@ def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
                 stride = (levels + 2 * PAD + 7) // 4
                 for i in range(turns * stride):
                     words[i] = 0
-                _vote(words, masks, turn, level, size, near, turns, levels, stride)
-                most = _largest_count(cells, 4 * turns * stride)
+                most = _vote(words, cells, turn, level, size, near, turns, levels, stride)
                 cone = 4.0 / 3.0 * math.pi * slope_max * (reach**3 - least**3)
                 crowd = max(density[at], max(np.int64(near) - most, 0) / cone)
-                expected[at] = crowd * tube_volume(reach, least, step)
+                expected[at] = crowd * volume[at]
                 if expected[at] > largest[min(most, len(largest) - 1)]:
                     continue
                 count[at] = most
-                around, up = _middle(cells, most, turns, levels + 2 * PAD, 4 * stride)
+                around, up = _middle(cells, np.uint16(most), turns, levels + 2 * PAD, 4 * stride)
                 azimuth[at] = around * step
                 slope[at] = (up - PAD) * step - slope_max

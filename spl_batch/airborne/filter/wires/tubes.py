@@ -47,14 +47,6 @@ class Tubes(NamedTuple):
 
 
 @njit()
-def _along(tubes: Tubes, s: int, dx, dy, dz, bend):  # type: ignore[no-untyped-def]
-    """Offset along, across and upwards of a tube's hanging line."""
-    east, north = math.cos(tubes.azimuth[s]), math.sin(tubes.azimuth[s])
-    x = dx * east + dy * north
-    return x, dy * east - dx * north, dz - tubes.slope[s] * x - bend * x * x
-
-
-@njit()
 def _room(made: Columns):  # type: ignore[no-untyped-def]
     """Room for the slots of a tube's points, uint64, and for their places: x, y, v, float64."""
     room = made.points.shape[1] + LANES
@@ -166,6 +158,7 @@ def agreeing(  # type: ignore[no-untyped-def]
     slots, places = _room(made)
     for s in range(len(tubes.length)):
         reach = stretch * tubes.length[s]
+        east, north = math.cos(tubes.azimuth[s]), math.sin(tubes.azimuth[s])
         size = _in_tube(
             made, tubes, s, reach + ROUNDED, beside + ROUNDED, above + ROUNDED, 0.0, bend, slots,
             places,
@@ -176,7 +169,8 @@ def agreeing(  # type: ignore[no-untyped-def]
                 tubes.middle[t, 0] - tubes.middle[s, 0],
                 tubes.middle[t, 1] - tubes.middle[s, 1],
             )
-            x, y, v = _along(tubes, s, dx, dy, tubes.middle[t, 2] - tubes.middle[s, 2], bend)
+            x, y = dx * east + dy * north, dy * east - dx * north
+            v = tubes.middle[t, 2] - tubes.middle[s, 2] - tubes.slope[s] * x - bend * x * x
             if t == s or abs(x) > reach or abs(y) > beside or abs(v) > above:
                 continue
             width = radius + widening * abs(x)

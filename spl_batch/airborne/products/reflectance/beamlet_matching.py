@@ -132,43 +132,35 @@ def match_points(
         longest_s = max(longest_s, shots / blocks.prf_hz[block])
     # Points lie by place and beamlets by time, each far from the last in memory: many are asked
     # for at once.
-    where, words, held = np.empty(AT_ONCE, np.int64), np.empty(AT_ONCE, np.int64), 0
-    for p in rows:
-        c = int(channel[p])
-        if c >= channels:
-            continue
-        east, north = place[0][p] - west, place[1][p] - south
-        b = np.int64(first_above(blocks.begin_s, time_s[p]) - 1)
-        best = np.int64(-1)
-        # Several flightlines may have been flown at the same time.
-        while b >= 0 and blocks.begin_s[b] >= time_s[p] - longest_s:
-            shot = np.int64(np.rint((time_s[p] - blocks.t0_s[b]) * blocks.prf_hz[b]))
-            within = blocks.line[b] == line[p] and blocks.first[b] <= shot <= blocks.last[b]
-            if within and not np.isnan(blocks.pattern[b, c, 0]):
-                best = number[blocks.offset[b] + shot - blocks.first[b]]
-                break
-            b -= 1
-        if best >= 0:
-            # No quotient of whole numbers so small rounds up to the next whole one.
-            row, col = np.int64(north / size), np.int64(east / size)
-            # Of two as high, the cell decides and not their order.
-            words[held] = (np.int64(place[2][p]) << np.int64(32)) | (row * cols + col)
-            where[held] = best * channels + c
-            held += 1
-            if held == AT_ONCE:
-                _raise(highest, where, words, held)
-                held = 0
-    _raise(highest, where, words, held)
-
-
-@njit()
-def _raise(
-    highest: NDArray[np.int64], where: NDArray[np.int64], words: NDArray[np.int64], held: int
-) -> None:
-    """Lift values at some places to others; without a branch, so that none waits for another."""
-    for k in range(np.uint64(held)):
-        at = np.uint64(where[k])
-        highest[at] = max(highest[at], words[k])
+    where, words = np.empty(AT_ONCE, np.int64), np.empty(AT_ONCE, np.int64)
+    for begin in range(0, len(rows), AT_ONCE):
+        held = 0
+        for p in rows[begin : begin + AT_ONCE]:
+            c = int(channel[p])
+            if c >= channels:
+                continue
+            east, north = place[0][p] - west, place[1][p] - south
+            b = np.int64(first_above(blocks.begin_s, time_s[p]) - 1)
+            best = np.int64(-1)
+            # Several flightlines may have been flown at the same time.
+            while b >= 0 and blocks.begin_s[b] >= time_s[p] - longest_s:
+                shot = np.int64(np.rint((time_s[p] - blocks.t0_s[b]) * blocks.prf_hz[b]))
+                within = blocks.line[b] == line[p] and blocks.first[b] <= shot <= blocks.last[b]
+                if within and not np.isnan(blocks.pattern[b, c, 0]):
+                    best = number[blocks.offset[b] + shot - blocks.first[b]]
+                    break
+                b -= 1
+            if best >= 0:
+                # No quotient of whole numbers so small rounds up to the next whole one.
+                row, col = np.int64(north / size), np.int64(east / size)
+                # Of two as high, the cell decides and not their order.
+                words[held] = (np.int64(place[2][p]) << np.int64(32)) | (row * cols + col)
+                where[held] = best * channels + c
+                held += 1
+        # Without a branch, so that none waits for another.
+        for k in range(np.uint64(held)):
+            at = np.uint64(where[k])
+            highest[at] = max(highest[at], words[k])
 
 
 COARSE = 8

@@ -150,8 +150,7 @@ def aim(
         table, origin, direction = table.take(usable), origin[usable], direction[usable]
     start, first, last = _blocks(table["shot"], model)
     size = np.diff(start)
-    place, anchor = np.empty((len(table), 2)), np.empty((len(size), 3))
-    meet_planes(start, table["z"], QUANTUM_M, origin, direction, place, anchor)
+    place, anchor = meet_planes(start, table["z"], QUANTUM_M, origin, direction)
     middle: NDArray[np.float64] = (first + last).astype(np.float64) / 2
     half = np.maximum(0.5 * (last - first), 0.5)
     tau = (table["shot"] - np.repeat(middle, size)) / np.repeat(half, size)

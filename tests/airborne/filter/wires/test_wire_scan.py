@@ -88,7 +88,7 @@ def slow_fullest(
     points: NDArray[np.int32], i: int, reach: float, radius: float, least: float, steep: float
 ) -> tuple[NDArray[np.int64], int]:
     """Counts of every cell of direction around one point, and all neighbours of the cone."""
-    step, turns, levels = grid(reach, radius, steep)
+    step, turns, levels = (found.item() for found in grid(np.array([reach]), radius, steep))
     cells = np.zeros((turns, levels + 2 * PAD), dtype=np.int64)
     near = 0
     for j in range(len(points)):
@@ -125,13 +125,15 @@ def test_fullest_tubes_are_the_slow_twins(seed: int, n: int, edge: int) -> None:
         made, seed_of, length, density, np.full(99, np.inf), 250.0, 1500.0, 0.3, BEND, count, *found
     )  # fmt: skip
     azimuth, slope, expected = found
+    grids = grid(length, 250.0, 0.3)
+    volume = tube_volume(length, 1500.0, grids[0])
     for i, row in enumerate(rows):
         cells, near = slow_fullest(xyz, row, length[i], 250.0, 1500.0, 0.3)
         assert count[i] == cells.max()
-        step, turns, levels = grid(length[i], 250.0, 0.3)
+        step, turns, levels = (values[i] for values in grids)
         cone = 4 / 3 * math.pi * 0.3 * (length[i] ** 3 - 1500.0**3)
         crowd = max(1e-11, (near - cells.max()) / cone)
-        assert expected[i] == pytest.approx(crowd * tube_volume(length[i], 1500.0, step))
+        assert expected[i] == pytest.approx(crowd * volume[i])
         a, b = azimuth[i] / step - 0.5, (slope[i] + 0.3) / step + PAD - 0.5
         best = np.argwhere(cells == cells.max())
         assert np.abs(best - [a, b]).max(axis=1).min() <= 2.5
@@ -141,7 +143,8 @@ def test_fullest_tubes_are_the_slow_twins(seed: int, n: int, edge: int) -> None:
 
 def test_a_tube_holds_the_noise_that_is_expected() -> None:
     rng = np.random.default_rng(4)
-    step, _, _ = grid(9000.0, 250.0, 0.3)
+    reach = np.array([9000.0])
+    step, _, _ = grid(reach, 250.0, 0.3)
     points = rng.uniform(-9000, 9000, (2_000_000, 3)) * [1, 0.2, 0.2]
     h2 = points[:, 0] ** 2 + points[:, 1] ** 2
     h = np.sqrt(h2)
@@ -149,7 +152,7 @@ def test_a_tube_holds_the_noise_that_is_expected() -> None:
     inside = (h <= 9000) & (h >= 1500) & (np.abs(points[:, 2] / h) <= half)
     inside &= np.abs(points[:, 1] / points[:, 0]) <= np.tan(half)
     volume = inside.mean() * 18000.0 * 3600.0**2
-    assert tube_volume(9000.0, 1500.0, step) == pytest.approx(volume, rel=0.02)
+    assert tube_volume(reach, 1500.0, step) == pytest.approx(volume, rel=0.02)
 
 
 def drawn_tubes(seed: int, n: int) -> Tubes:
