@@ -73,7 +73,7 @@ def _cut_off(nodes: Float, opened: Mask) -> Mask:
     down, up = (np.bincount(end[steps], near, len(nodes)) for end in (upper, lower))
     against, linked = SHARE * (down - up), ~steps
     one, other = upper[linked], lower[linked]
-    every, (source, sink) = np.arange(len(nodes)), len(nodes) + np.arange(2)
+    every, source, sink = np.arange(len(nodes)), len(nodes), len(nodes) + 1
     graph = _whole(
         np.concatenate([one, other, np.full_like(every, source), every]),
         np.concatenate([other, one, every, np.full_like(every, sink)]),
