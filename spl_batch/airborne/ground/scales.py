@@ -63,6 +63,3 @@ TILT: Final = 0.3
 
 SIDES: Final = 8
 """Ground goes on to a node from so many sides, and from so many of the nodes around [count]."""
-
-MOST: Final = 0.75
-"""Most of what is around: directions in which a wall ends a roof, points of a hard surface."""

@@ -108,10 +108,8 @@ def neighbours(nodes: Float) -> tuple[Index, Index, Float]:
     if tin is None:
         nothing = np.empty(0, np.int64)
         return nothing, nothing, np.empty(0)
-    sides = np.concatenate([tin.facets[:, [k, (k + 1) % 3]] for k in range(3)]).astype(np.int64)
-    first, second = np.divmod(
-        np.unique(sides.min(axis=1) * len(nodes) + sides.max(axis=1)), len(nodes)
-    )
+    once = tin.neighbours < np.arange(len(tin.facets))[:, None]  # one of two triangles, or the hull
+    first, second = (np.roll(tin.facets, -k, axis=1)[once].astype(np.int64) for k in (1, 2))
     falls = nodes[first, 2] >= nodes[second, 2]
     upper, lower = np.where(falls, first, second), np.where(falls, second, first)
     east, north, up = (nodes[upper] - nodes[lower]).T
