@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.ground.scales import BESIDE_M, CELL_M, DEPTH_M, EDGE_M, MOST
+from spl_batch.airborne.ground.scales import BESIDE_M, CELL_M, DEPTH_M, EDGE_M, TILT
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.numerics.cell_groups import Cells
 from spl_batch.numerics.compiled import njit
@@ -35,9 +35,8 @@ ENDS = 0.25
 
 _AGREEING = 2
 _REACH = round(BESIDE_M / CELL_M)
-_STEP_SLOPE = 0.35
-"""So many nodes of other cells, up to so many cells off, continue one within this depth and so much
-more for each unit of distance [count, edges, rise/run]."""
+"""So many nodes of other cells, up to so many cells off, continue one within :data:`.DEPTH_M` and
+:data:`.TILT` times their distance [count, edges]."""
 
 Mask = NDArray[np.bool_]
 
@@ -203,7 +202,7 @@ def _below_sheet(heights: NDArray[np.float64], first: int) -> bool:
             continue
         while clear < len(heights) and heights[clear] <= heights[i] + _SHEET_M + EDGE_M:
             clear += 1
-        if end - i >= MOST * (clear - first):
+        if end - i >= (1.0 - ENDS) * (clear - first):
             return True
     return False
 
@@ -267,5 +266,5 @@ def _continued(
                 for j in range(first[other], first[other + 1]):
                     d = np.sqrt((xyz[j, 0] - xyz[i, 0]) ** 2 + (xyz[j, 1] - xyz[i, 1]) ** 2)
                     if d <= _REACH * cell_m:
-                        count += abs(xyz[j, 2] - xyz[i, 2]) <= DEPTH_M + _STEP_SLOPE * d
+                        count += abs(xyz[j, 2] - xyz[i, 2]) <= DEPTH_M + TILT * d
         out[i] = count >= _AGREEING

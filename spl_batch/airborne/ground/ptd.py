@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.ground.multiscale.near_surface import facets_at
+from spl_batch.airborne.ground.scales import DAMPING_M2
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.point_grid import PointGrid
 from spl_batch.numerics.triangulation.delaunay import along_curve, empty_mesh, finite, insert
@@ -31,12 +32,6 @@ _ROUNDS = 60
 
 _FRAME_VERTICES = 12
 """Vertices that continue the surface to a place on the frame [count]."""
-
-_DAMPING_M2 = 1.0
-"""Added to the vertices' horizontal scatter when their plane is fitted [m2]."""
-
-_STEEPEST_FRAME = 1.0
-"""Steepest continuation of the surface beyond the points [rise/run]."""
 
 
 class Limits(NamedTuple):
@@ -140,8 +135,7 @@ def _frame(xyz: NDArray[np.float64], margin_m: float) -> NDArray[np.float64]:
 def _continued(vertices: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
     """Height of the plane through the vertices nearest to each place: (f,).
 
-    The plane's slope is damped, so that it vanishes where the vertices do not tell it,
-    and never exceeds :data:`_STEEPEST_FRAME`.
+    The plane's slope is damped, so that it vanishes where the vertices do not tell it.
     """
     k = min(_FRAME_VERTICES, len(vertices))
     nearest = PointGrid.of(vertices).nearest(places, k)
@@ -149,10 +143,8 @@ def _continued(vertices: NDArray[np.float64], places: NDArray[np.float64]) -> ND
     centre = near.mean(axis=1)
     offset = near - centre[:, None]
     xy, z = offset[:, :, :2], offset[:, :, 2]
-    normal = np.einsum("fki,fkj->fij", xy, xy) + _DAMPING_M2 * np.eye(2)
+    normal = np.einsum("fki,fkj->fij", xy, xy) + DAMPING_M2 * np.eye(2)
     gradient = np.linalg.solve(normal, np.einsum("fki,fk->fi", xy, z)[:, :, None])[:, :, 0]
-    steep = np.hypot(*gradient.T)
-    gradient /= np.maximum(1.0, steep / _STEEPEST_FRAME)[:, None]
     height: NDArray[np.float64] = centre[:, 2] + ((places - centre[:, :2]) * gradient).sum(axis=1)
     return height
 

@@ -33,9 +33,6 @@ DAMPING_M2: Final = 0.1
 """Added to the scatter of places when a plane is fitted: a slope that they do not show is none
 [m2]."""
 
-NARROW_M: Final = WINDOW_M / 2
-"""Width of the widest deck, and length of the longest half of a roof along the contour [m]."""
-
 SIGMA_M: Final = 0.05
 """Standard deviation of a range, if flightlines have no larger one [m]."""
 
@@ -53,9 +50,6 @@ sample 71 grows by 5 cm."""
 DEPTH_M: Final = 5 * SIGMA_M
 """What lies so far below a surface is no part of it [m]."""
 
-APART_M: Final = 2 * LAYER_M
-"""Heights that differ by more are of two surfaces [m]."""
-
 WALL_M: Final = 2.0
 """Height of a wall: a low storey [m]."""
 
@@ -63,15 +57,9 @@ EDGE_M: Final = 1.5
 """Fall at the edge of a terrace, a deck or a roof on a hillside, and what is clear above a sheet
 [m]: with that of a wall the error of ISPRS sample 71 grows by 4 cm."""
 
-HOUSE_M2: Final = 60.0
-"""Area of a small house [m2]: smaller patches are rocks and the like."""
-
 STEEP: Final = 0.5
 TILT: Final = 0.3
 """Slopes from which on ground is steep, and below which it is level [rise/run]."""
 
 SIDES: Final = 8
 """Ground goes on to a node from so many sides, and from so many of the nodes around [count]."""
-
-MOST: Final = 0.75
-"""Most of what is around: directions in which a wall ends a roof, points of a hard surface."""

@@ -187,7 +187,7 @@ def test_support_agrees_with_all_pairs() -> None:
     nodes = lowest_layers(*xyz.T, cells, 0.3)
     offset = nodes.xyz[:, None] - nodes.xyz[None]
     d = np.hypot(offset[..., 0], offset[..., 1])
-    near = (d <= 2.0) & (np.abs(offset[..., 2]) <= 0.25 + 0.35 * d)
+    near = (d <= 2.0) & (np.abs(offset[..., 2]) <= 0.25 + 0.3 * d)
     near &= nodes.cell[:, None] != nodes.cell[None]
     found = continued(nodes, cells, 1.0)
     assert np.array_equal(found, near.sum(axis=1) >= 2)

@@ -19,7 +19,7 @@ from spl_batch.airborne.ground.multiscale.near_surface import (
     within,
 )
 from spl_batch.airborne.ground.multiscale.node_planes import under_planes, without_plants
-from spl_batch.airborne.ground.multiscale.raised_patches import on_houses
+from spl_batch.airborne.ground.multiscale.objects import objects
 from spl_batch.airborne.ground.multiscale_surface import (
     ABOVE_SIGMA,
     BARE,
@@ -125,7 +125,7 @@ def _ground_surface(evidence: Place, apart: Blocks, sigma: Blocks) -> tuple[Surf
     nearest = nearest_node(grid)
     opened = ground_nodes(xyz, high, grid, nearest)
     ground = grown(xyz, grid, nearest, opened, apart.at(*xyz[:, :2].T))
-    ground &= ~on_houses(xyz, ground)
+    ground[ground] = ~objects(xyz[ground], opened[ground])
     ground[ground] = ~under_planes(xyz[ground], filled[ground], doubtful[ground])
     x, y, _ = xyz[ground].T
     nodes, off = without_plants(xyz[ground], apart.at(x, y))

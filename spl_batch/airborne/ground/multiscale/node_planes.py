@@ -156,6 +156,23 @@ def above_planes(nodes: Float, around: Index, weight: Float, drift_m: Float) -> 
 
 
 @njit()
+def slopes_around(nodes: Float, around: Index) -> Float:
+    """Slopes of the planes through the other nodes around each [rise/run].
+
+    Parameters
+    ----------
+    nodes, around
+        As for :func:`above_planes`.
+    """
+    slopes, weight = np.empty(len(nodes)), np.ones(len(nodes))
+    for i in range(len(nodes)):
+        weight[i] = 0.0
+        slopes[i] = _plane(nodes, around[i], weight, i, 0.0, 0.0)[2]
+        weight[i] = 1.0
+    return slopes
+
+
+@njit()
 def goes_on(
     nodes: Float, around: Index, weight: Float, drift_m: Float, spread_m: Float, asked: Index
 ) -> Mask:
