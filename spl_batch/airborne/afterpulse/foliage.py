@@ -23,7 +23,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.afterpulse.weighted_counts import MASS
 from spl_batch.lattice.tiles import cell_index, quanta
 
 KERNELS_M: Final = ((1.5, 1.5), (0.5, 0.5))
@@ -38,14 +37,11 @@ HALF: Final = 0.3
 SHAPE: Final = 0.15
 """c above."""
 
-CLUMPED_MIN: Final = 0.005
-"""Least g - 1: below it chance could turn the sign."""
-
 LEAST: Final = 0.1
 """Returns that a place without any has in the widest sphere."""
 
-CELL_M: Final = 0.75
-"""Columns by which parents are summed over [m]."""
+CELL_M: Final = KERNELS_M[0][0] / 2.0
+"""Columns by which parents are summed over: half of the wide radius [m]."""
 
 CELLS: Final = 3
 """Columns on each side of a place's own whose parents are near by."""
@@ -61,8 +57,10 @@ def density(counts: NDArray[np.float64], clumping: NDArray[np.float64]) -> NDArr
     """
     wide, narrow = (volume_m3(*radii) for radii in KERNELS_M)
     around = (counts[:, 0] + LEAST) / wide
-    prior = SHAPE / np.maximum(clumping - 1.0, CLUMPED_MIN) ** 2
-    return np.asarray((counts[:, 1] + prior) / (narrow + prior / around), np.float64)
+    # Both sides times (g - 1)^2: it may be 0, and by chance less.
+    unlike = np.maximum(clumping - 1.0, 0.0) ** 2
+    found = (counts[:, 1] * unlike + SHAPE) / (narrow * unlike + SHAPE / around)
+    return np.asarray(found, np.float64)
 
 
 def clumped(clumping: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -112,5 +110,5 @@ def _around(sums: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def volume_m3(across_m: float, up_m: float) -> float:
-    """What the kernel of an ellipsoid holds [m3]."""
-    return MASS * 4.0 / 3.0 * math.pi * across_m * across_m * up_m
+    """What the kernel of an ellipsoid holds [m3]; (1 - d^2)^2 has 32 pi / 105 in the unit ball."""
+    return 32.0 / 105.0 * math.pi * across_m * across_m * up_m

@@ -45,9 +45,9 @@ LAG_EDGES_M: Final = np.concatenate([np.arange(81) * STEP_M, np.geomspace(4.0, 6
 the lag."""
 
 
-PLANES_PRIOR: Final = 15.0
-"""Planes that the sensor's own figure is worth [count]: fewer than 60 in all change nothing, as a
-few planes of shrubs look alike."""
+PLANES_LEAST: Final = 30
+"""Planes that can tell a spread or a tail [count]: a few of shrubs look alike, and may just have
+something behind them."""
 
 QUANTILE: Final = 0.2
 """Quantile of the planes' spreads: in any survey with planes a fifth of them is hard."""
@@ -217,18 +217,14 @@ def ranging_spread(planes: NDArray[np.int64], sensor: Sensor) -> float:
     ``planes``: planes by their spread, in steps of :data:`SPREAD_STEP_M` [count].
     """
     stated = sensor.range_sigma_m
-    if not _alike_spreads(planes):
+    if planes.sum() < PLANES_LEAST or not _alike_spreads(planes):
         return stated
-    counts = planes.astype(np.float64)
-    counts[min(int(stated / SPREAD_CHANCE / SPREAD_STEP_M), len(counts) - 1)] += PLANES_PRIOR
-    found = SPREAD_CHANCE * _quantile(counts, QUANTILE)
+    found = SPREAD_CHANCE * _quantile(planes, QUANTILE)
     return found if found > BELIEVED * stated else stated
 
 
 def _alike_spreads(planes: NDArray[np.int64]) -> bool:
     """Whether the least spreads are those of hard planes."""
-    if not planes.any():
-        return False
     least, most = (_quantile(planes, share) for share in (LOW * QUANTILE, QUANTILE))
     return least >= ALIKE * most
 

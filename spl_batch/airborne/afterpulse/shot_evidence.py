@@ -18,19 +18,15 @@ from spl_batch.airborne.afterpulse.hard_surfaces import (
 )
 from spl_batch.airborne.afterpulse.lag_counts import law_at
 from spl_batch.numerics.compiled import njit
-from spl_batch.numerics.simd import LANES
+from spl_batch.numerics.simd import LANES, TOGETHER
 
-TOGETHER = 128
-"""Shots whose planes are fitted together; those that finish early hardly matter [count]."""
+AFTERPULSE_MIN = 0.5
+"""Probability from which a return is called an afterpulse, and is no evidence of its own. A parent
+alone gives less: the space domain decides in vegetation."""
 
 HARD = 0.95
-"""Probability of a return behind a parent on a hard surface."""
-
-PLANE_ONLY = 0.9
-"""The same where channels are not known and the plane is the only evidence."""
-
-SOFT_CAP = 0.49
-"""Most that a parent alone gives: the space domain decides in vegetation."""
+"""Probability of a return behind a parent on a hard surface, and, where channels are not known, of
+one behind such a surface."""
 
 
 @njit()
@@ -49,7 +45,7 @@ def soft_probability(
     for j in range(rows[0], rows[1]):
         others += first[j] & (abs(w[j] - at) <= 1.5)
     real = (others + 0.5) / (3.0 * rules.beamlets)
-    return SOFT_CAP * afterpulse / (afterpulse + real)
+    return AFTERPULSE_MIN * afterpulse / (afterpulse + real)
 
 
 @njit()
@@ -133,7 +129,7 @@ def _of_shots(shots, u, v, w, channel, lag, known, rules, out):  # type: ignore[
             if not known[shot]:
                 # The published rule: below the plane, and not on it.
                 below = hard and 0.0 < behind[i] <= rules.lag_max_m
-                out[i] = PLANE_ONLY * (below and not on_surface(behind[i], spread, rules))
+                out[i] = HARD * (below and not on_surface(behind[i], spread, rules))
             # One farther behind its nearest parent cannot have been started by any.
             elif 0.0 < lag[i] <= rules.longest_m:
                 own = beamlet_of(i, rows, channel)

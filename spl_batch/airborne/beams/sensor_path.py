@@ -13,7 +13,7 @@ without one. Here
 | P(t) | the sensor: linear between whole seconds, [X, Y, Z] |
 
 P minimises the robust sum of (X - a_x - b_x (Z - c))^2 S / (Z - c)^2, likewise in y, plus what is
-known of any aircraft: it accelerates little, climbs slowly, and flies above the points. Without a
+known of any aircraft: it accelerates little, and flies above the points. Without a
 channel dimension a shot's pencil of beamlets stands for one line; the robust scale then finds its
 width as the error.
 
@@ -35,11 +35,9 @@ from spl_batch.lattice.tables import PointTable, Trajectory
 PER_INTERVAL: Final = 2
 """Lines kept of each interval of shots: those with the largest spread [count]."""
 
-SPREAD_MIN_M2: Final = 2.0
-"""Least spread of a beamlet's line: two returns 2 m apart [m2]."""
-
 PENCIL_SPREAD_MIN_M2: Final = 450.0
-"""Least spread of a shot's line: metres wide, it has to be tens of metres long [m2]."""
+"""Least spread of a shot's line: metres wide, it has to be tens of metres long [m2]. That of a
+beamlet counts by its spread, however little that is."""
 
 LINES_MIN: Final = 40
 """Fewer lines than this in a flightline tell no sensor [count]."""
@@ -50,11 +48,8 @@ ERROR_MAX_RAD: Final = 5e-3
 ACCELERATION_M_S2: Final = 1.0
 """Spread of an aircraft's acceleration [m/s2]."""
 
-CLIMB_M_S: Final = 5.0
-"""Spread of its climb [m/s]."""
-
 SPEED_M_S: Final = 150.0
-"""Spread of its speed over ground, per axis [m/s]."""
+"""Spread of its speed, per axis [m/s]."""
 
 ABOVE_M: Final = (2500.0, 2500.0)
 """Height above the points, and its spread [m]."""
@@ -113,9 +108,9 @@ def collect(table: PointTable, beamlets: int, interval_shots: int) -> dict[str, 
     ]
     sums = [np.add.reduceat(values, first) for values in own]
     spread = np.add.reduceat(own[2] ** 2, first) - sums[2] ** 2 / size
-    limit, least = (SPREAD_MIN_M2, 2) if beamlets > 1 else (PENCIL_SPREAD_MIN_M2, 3)
+    limit, least = (0.0, 2) if beamlets > 1 else (PENCIL_SPREAD_MIN_M2, 3)
     interval = np.floor_divide(table["shot"][first], interval_shots)
-    kept = _best(interval, spread, (spread >= limit) & (size >= least))
+    kept = _best(interval, spread, (spread > limit) & (size >= least))
     mean = np.stack(
         [table[k][first] * QUANTUM_M + s / size for k, s in zip("xyz", sums, strict=True)]
     )
@@ -302,9 +297,8 @@ def _prior(band: NDArray[np.float64], right: NDArray[np.float64], knots: int) ->
     for axis in range(3):
         place = 3 * np.arange(knots) + axis
         band[0, place] += ABOVE_M[1] ** -2
-        speed = (CLIMB_M_S if axis == 2 else SPEED_M_S) ** -2
         for coefficients, precision in (
-            ((-1.0, 1.0), speed),
+            ((-1.0, 1.0), SPEED_M_S**-2),
             ((1.0, -2.0, 1.0), ACCELERATION_M_S2**-2),
         ):
             count = knots - len(coefficients) + 1

@@ -26,15 +26,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.beams.dependent_returns import dependents
-from spl_batch.airborne.filter.drowned_surfaces import around, below_surfaces, dense_noise, unfilled
+from spl_batch.airborne.filter.drowned_surfaces import (
+    SQUARE,
+    around,
+    below_surfaces,
+    dense_noise,
+    unfilled,
+)
+from spl_batch.airborne.noise.haze import CUBE_M
+from spl_batch.airborne.settings import FilterSettings
 from spl_batch.constants import NOISE_BACKGROUND, NOISE_SIGNAL
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, quanta
 
-CELL_M: Final = 5.0
+CELL_M: Final = CUBE_M
 """Edge of the cells in which returns are counted [m]."""
 
-KEPT_SHARE: Final = 0.002
+KEPT_SHARE: Final = 2.0 * FilterSettings().alpha
 """Twice the share of pure noise that the filter keeps by default: the least that is allowed for."""
 
 NOISE_QUANTILE: Final = 0.1
@@ -57,13 +65,13 @@ class Box(NamedTuple):
 COLUMN: Final = Box(1, 12, 0.2)
 """15 m wide, of the whole height."""
 
-BOXES: Final = (Box(1, 30, 0.2), Box(3, 60, 0.06))
+BOXES: Final = (Box(1, 30, 0.2), Box(SQUARE, 60, 0.06))
 """15 m and 35 m wide, 15 m high; any surface that fills either is one. In much noise that is
 0.13 returns per m2 if the surface is small, and 0.05 if it continues."""
 
 Count = NDArray[np.int64]
 
-GAP: Final = 3
+GAP: Final = SQUARE
 """Empty cells along an axis that are kept of a wider gap: no box, no square of drowned surfaces and
 nothing that floats reaches farther [count]."""
 

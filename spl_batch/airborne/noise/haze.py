@@ -54,11 +54,8 @@ WINDOW: Final = 5
 REACH_M: Final = (WINDOW + 1) * CUBE_M
 """How far a point's noise looks: half a square to its middle, half a square on, one cube beside."""
 
-FILLED: Final = 0.25
-"""Share of a square's cubes that may hold less."""
-
-LEFT_OUT: Final = int(FILLED * WINDOW**2)
-"""That share as a number of cubes [count]."""
+LEFT_OUT: Final = WINDOW**2 // 4
+"""A quarter of a square's cubes, which may hold less, or more [count]."""
 
 CLEARLY: Final = 1.5
 """Multiple of the expected noise that fills a cube, beside one return more."""
@@ -76,13 +73,11 @@ ALIKE: Final = 1.02
 """Largest clumping across of such a square."""
 
 SMOOTH: Final = 3.0
-"""Largest ratio of the quarters of a square."""
+"""Largest ratio of the quarters of a square, and of a cube to its square's lower quarter, from
+which on it holds a surface too."""
 
 PAIRS_LEAST: Final = 150
 """Pairs in columns that suffice: chance then leaves an error of a sixth."""
-
-SOLID: Final = 3.0
-"""Multiple of a square's noise from which on a cube holds a surface too."""
 
 EACH, THREE, ONE = (np.ones(n, np.int64) for n in (WINDOW, 3, 1))
 """Weights of cubes along the edge of a square, of three layers, and of one."""
@@ -285,12 +280,12 @@ def _around(
     """Air in the squares of the seeds, and in the cubes beside."""
     size = (WINDOW, WINDOW, 1)
     level = ndimage.maximum_filter(np.where(seed, lowest, 0), size, mode="constant")
-    held = (level > 0) & (counts.held > 0) & (counts.held <= SOLID * level)
+    held = (level > 0) & (counts.held > 0) & (counts.held <= SMOOTH * level)
     middle = np.where(held, ndimage.median_filter(counts.held, (3, 3, 1), mode="constant"), 0)
-    middle = np.minimum(middle, SOLID * level)
+    middle = np.minimum(middle, SMOOTH * level)
     wide = ndimage.maximum_filter(middle, 3, mode="constant").astype(np.float64)
     # A cube beside the air that holds much more holds something else.
-    wide[counts.held > SOLID * wide] *= level[counts.held > SOLID * wide] > 0
+    wide[counts.held > SMOOTH * wide] *= level[counts.held > SMOOTH * wide] > 0
     at = np.nonzero(wide)
     cube = np.column_stack(
         [at[0] + counts.corner[0], at[1] + counts.corner[1], counts.layer[at[2]]]

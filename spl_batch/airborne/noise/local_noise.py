@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from spl_batch.airborne.noise.voxel_noise import BEAMLET
-from spl_batch.lattice.tables import VOXEL_FIXED_POINT
+from spl_batch.lattice.tables import FIXED_POINT
 from spl_batch.numerics.compiled import njit
 
 SQUARES: Final = 4
@@ -129,7 +129,7 @@ def each_stands_for(
 
     ``amount``, ``counts``: (nx, ny, nz) and (nx, ny, nz, 16), as :func:`listened` has them.
     """
-    mean = blurred(amount / (VOXEL_FIXED_POINT * voxel_m**3))
+    mean = blurred(amount / (FIXED_POINT * voxel_m**3))
     own = blurred(counts.mean(axis=3) / BEAMLET)
     part = np.divide(mean, own, out=np.zeros(own.shape), where=own > 0.0)
     # The largest of each layer and those above and below.

@@ -9,7 +9,7 @@ Deviation from a plate through all ground: plates are local and overlap, as a gr
 more than its margin. One belongs to each node of an absolute lattice, is fitted to the ground of a
 window around it, and counts with bilinear weight as far as the next nodes. So no cut between
 ground cells shows, and where a gap is wider than a window, its plate goes on from one side.
-It is fitted to means of blocks of :data:`BLOCK_M`, two rows of them along the gaps: single cells
+It is fitted to means of blocks of :data:`FAR_M`, two rows of them along the gaps: single cells
 would lend it the slopes of their noise.
 
 Two rules keep it from making up land. It is no higher and no lower than the ground it is fitted to,
@@ -27,10 +27,8 @@ from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.thin_plates import fit_plate, plate_height
 
 FAR_M: Final = 4.0
-"""Distance to ground from which on a plate takes part [m]."""
-
-BLOCK_M: Final = 4.0
-"""Edge of a block whose mean a plate is fitted to [m]."""
+"""Distance to ground from which on a plate takes part, and edge of a block whose mean it is fitted
+to [m]."""
 
 NODE_BLOCKS: Final = 3
 """Blocks from one plate to the next [count]."""
@@ -65,7 +63,7 @@ def bridged(
     their first.
     """
     margin = (len(means) - len(dtm)) // 2
-    block = max(round(far * BLOCK_M / FAR_M), 1)
+    block = max(round(far), 1)
     window = min(margin // block - NODE_BLOCKS, WINDOW_BLOCKS)
     share = _share(~np.isnan(means[:, :, 2]), wet, max(far, 2.0), margin)
     share[np.isnan(dtm)] = 0.0

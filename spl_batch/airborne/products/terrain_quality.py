@@ -21,6 +21,7 @@ for no more than the variance by which cells differ beyond what noise alone expl
 It cannot show what no point tells: shrubs or a terrace of fill that were taken for ground.
 """
 
+import math
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -43,7 +44,7 @@ AROUND: Final = 12
 _ENOUGH = 6
 """Cells with ground that a ring must hold [count]."""
 
-_HALF_NORMAL = 1.2533
+_HALF_NORMAL = math.sqrt(math.pi / 2.0)
 """Standard deviation for each mean absolute value of a normal distribution."""
 
 _DAMPING = 0.25

@@ -10,7 +10,7 @@ from spl_batch.airborne.noise import local_noise
 from spl_batch.airborne.noise.local_noise import unpack
 from spl_batch.airborne.noise.voxel_chords import cover
 from spl_batch.airborne.noise.voxel_noise import BEAMLET, sphere_radius_m
-from spl_batch.lattice.tables import VOXEL_FIXED_POINT
+from spl_batch.lattice.tables import FIXED_POINT
 
 PER_M3 = 0.2
 SIZE = (9, 8, 5)
@@ -36,7 +36,7 @@ def spheres(until_m: float) -> np.ndarray:
 def made(share: np.ndarray, squares: np.ndarray) -> np.ndarray:
     """A line with that share of the noise in each sphere, by x and z, and beamlets over squares."""
     share = share.reshape(SIZE[0], 1, -1)
-    amount = np.broadcast_to(share, SIZE) * PER_M3 * 1000.0 * VOXEL_FIXED_POINT
+    amount = np.broadcast_to(share, SIZE) * PER_M3 * 1000.0 * FIXED_POINT
     heard = local_noise.listened(np.rint(amount).astype(np.int64), BEAMLET * pack(squares), 10.0)
     assert heard is not None
     return heard
@@ -162,7 +162,7 @@ def strip(rate: np.ndarray, beamlets: np.ndarray) -> np.ndarray:
     """A line of that relative rate by x and layer, and so many beamlets over squares."""
     rates = np.repeat(rate[:, None], SIZE[1] * 4, axis=1).reshape(SIZE[0], 4, SIZE[1], 4, -1)
     amount = np.einsum("xiyjz,ij->xyz", rates, square_shares())
-    fixed = np.rint(amount * PER_M3 * 1000.0 * VOXEL_FIXED_POINT).astype(np.int64)
+    fixed = np.rint(amount * PER_M3 * 1000.0 * FIXED_POINT).astype(np.int64)
     heard = local_noise.listened(
         np.broadcast_to(fixed, SIZE).copy(), BEAMLET * pack(beamlets), 10.0
     )

@@ -103,9 +103,6 @@ BESIDE_MOST: Final = (0.15, 2.0)
 """Most returns beyond noise, per return of the line, from the first to the second of these
 distances, and from there to the third."""
 
-PARTS_LEAST: Final = 5
-"""Least number of a tube's eight parts that hold returns of the line [count]."""
-
 
 class Found(NamedTuple):
     """What the scan says of the m points asked for."""
@@ -226,7 +223,10 @@ def _score(
 def _free(
     cloud: Cloud, tubes: Tubes, chosen: NDArray[np.bool_], settings: WireSettings
 ) -> NDArray[np.bool_]:
-    """Chosen tubes that go on from end to end with little beside their line: (m,) bool."""
+    """Chosen tubes that go on from end to end with little beside their line: (m,) bool.
+
+    Most of their parts hold returns of the line.
+    """
     m = int(np.count_nonzero(chosen))
     count, held = np.zeros((m, len(RINGS_M)), np.int32), np.zeros((m, PARTS), np.bool_)
     length = tubes.length[chosen]
@@ -238,7 +238,7 @@ def _free(
     along = 2.0 * length / QUANTA_PER_M * cloud.density[tubes.row[chosen]]
     noise = along[:, None] * area
     own = np.maximum(count[:, 0] - noise[:, 0], 1.0)
-    free: NDArray[np.bool_] = held.sum(axis=1) >= PARTS_LEAST
+    free: NDArray[np.bool_] = held.sum(axis=1) > (~held).sum(axis=1)
     for ring, most in enumerate(BESIDE_MOST, start=1):
         expected = noise[:, ring] - noise[:, 0]
         beside = count[:, ring] - count[:, 0]

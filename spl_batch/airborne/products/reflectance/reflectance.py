@@ -51,7 +51,6 @@ from spl_batch.airborne.products.cell_values import (
 from spl_batch.airborne.products.reflectance.beamlet_matching import (
     CELL_BITS,
     COARSE,
-    FIXED_POINT,
     SILENT,
     Blocks,
     Grid,
@@ -63,7 +62,7 @@ from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.lattice.row_order import lexicographic_order
-from spl_batch.lattice.tables import PointTable
+from spl_batch.lattice.tables import FIXED_POINT, PointTable
 from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
 from spl_batch.numerics.compiled import njit
 
