@@ -72,7 +72,7 @@ def _shown(sign: str) -> str:
     return sign.encode("unicode_escape").decode("ascii")
 
 
-def brief(text: str, most: int) -> str:
+def shortened(text: str, most: int) -> str:
     """Text of at most so many characters: of a longer one its start and its end."""
     if len(text) <= most:
         return text
@@ -119,8 +119,8 @@ class InputError(SplBatchError, ValueError):
 
     def __init__(self, path: str, faults: str | Sequence[str]) -> None:
         self.path = plain(path)
-        told = (faults,) if isinstance(faults, str) else tuple(faults)
-        self.faults = tuple(brief(plain(fault), FAULT_MAX) for fault in told)
+        given = (faults,) if isinstance(faults, str) else tuple(faults)
+        self.faults = tuple(shortened(plain(fault), FAULT_MAX) for fault in given)
         super().__init__(f"{path}: {'; '.join(self.faults)}")
 
     def __reduce__(self) -> tuple[type["InputError"], tuple[str, tuple[str, ...]]]:
@@ -144,19 +144,19 @@ def one_line(error: BaseException) -> str:
     """Kind and message of an exception in one line of at most 200 characters."""
     try:
         text = plain(" ".join(str(error).split()))
-    except Exception as silent:  # noqa: BLE001 - it may be anything, and its kind is told
+    except Exception as silent:  # noqa: BLE001 - it may be anything, and its kind is named
         text = f"its message cannot be written ({type(silent).__name__})"
-    said = f"{type(error).__name__}: {text}" if text else type(error).__name__
-    return said if len(said) <= 200 else f"{said[:197]}..."
+    line = f"{type(error).__name__}: {text}" if text else type(error).__name__
+    return line if len(line) <= 200 else f"{line[:197]}..."
 
 
 def reason_of(error: OSError) -> str:
-    """What the system says of a file; libraries raise such errors without its words."""
+    """The system's reason for a file; libraries raise such errors without its words."""
     return error.strerror or " ".join(str(error).split()) or type(error).__name__
 
 
-def told_by_system(error: OSError, remedy: str = "") -> str:
-    """File and reason of an error of the system, and what to do: to check both unless told."""
+def system_fault(error: OSError, remedy: str = "") -> str:
+    """File and reason of an error of the system, and what to do: by default to check both."""
     name = error.filename
     if name is None:  # raised by a library, or of something that is open
         there = remedy or "check the paths of inputs and output, and the rights there"
@@ -181,7 +181,7 @@ def as_input_fault(path: object, what: str = "it cannot be read") -> Iterator[No
         raise InputError(str(path), text) from error
 
 
-def told_together(errors: Iterable[InputError]) -> Iterator[str]:
+def merged_faults(errors: Iterable[InputError]) -> Iterator[str]:
     """What is wrong with files, once for those that share it."""
     return shared((error.path, "; ".join(error.faults)) for error in errors)
 
@@ -245,10 +245,10 @@ class DamagedError(StoreError):
         self.path = str(path)
         known = reason_of(reason) if isinstance(reason, OSError) else str(reason)
         self.reason = " ".join(known.split())
-        super().__init__(f"{self.told}; run again to rebuild")
+        super().__init__(f"{self.fault}; run again to rebuild")
 
     @property
-    def told(self) -> str:
+    def fault(self) -> str:
         """What is wrong with which file, without what to do."""
         return f"{self.path}: damaged or missing ({self.reason})"
 

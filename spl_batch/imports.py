@@ -66,7 +66,7 @@ def content_hash(files: Iterable[Path]) -> str:
 @cache
 def _direct(path: Path, package: Path) -> frozenset[Path]:
     """Files of the package that a file imports itself."""
-    if not path.is_file():  # within an archive, say
+    if not path.is_file():  # within an archive, for instance
         return frozenset()
     found = set()
     for name in _names(path, package):

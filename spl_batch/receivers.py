@@ -28,13 +28,13 @@ class Home:
     #: name, the context, and :class:`~spl_batch.engine.report.run_record.RunFacts`.
     summarise: str
     #: Makes synthetic data: a function of a scene file, an output folder and, by name, of
-    #: ``progress``, which is told the share that is done; what it gives back has ``rows``, label
-    #: and value of what a user is told. It leaves a ``workflow.yaml`` in the folder.
+    #: ``progress``, which takes the share that is done; what it gives back has ``rows``, label
+    #: and value of what a user reads. It leaves a ``workflow.yaml`` in the folder.
     simulate: str
     compare: str = ""  #: Runs several methods side by side; empty where it has one.
     #: Writes a first workflow: a function of a folder that gives a
     #: :class:`~spl_batch.engine.verbs.beginning.Beginning`, or None where there is nothing for it;
-    #: empty where no file tells that it is for this receiver. ``inputs`` names such files.
+    #: empty where no file shows that it is for this receiver. ``inputs`` names such files.
     begin: str = ""
     inputs: str = ""
     #: Extra of this project that installs what it needs beside an airborne survey.

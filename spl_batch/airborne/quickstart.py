@@ -27,7 +27,7 @@ _COST: Final = Cost(
     workers=1,
     measured=False,
 )
-"""What the survey takes of a worker that has little memory, as its plan will tell."""
+"""What the survey takes of a worker that has little memory, as its plan estimates."""
 
 
 def quickstart(
@@ -45,7 +45,7 @@ def quickstart(
     output : Path or str
         Folder; the survey that an earlier quickstart made there is used again.
     memory : str or int, optional
-        Memory limit of a worker [byte]; a share of the machine's unless told.
+        Memory limit of a worker [byte]; a share of the machine's by default.
     progress : callable, optional
         Told the share of the simulation that is done, 0..1.
 

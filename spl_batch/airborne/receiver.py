@@ -47,7 +47,7 @@ from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.step import Step
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs.receiver import FirstLook, Prepared, Receiver
-from spl_batch.errors import WorkflowError, grouped, told_together
+from spl_batch.errors import WorkflowError, grouped, merged_faults
 from spl_batch.formats.las.header import waveform_file
 from spl_batch.formats.las.reader import promised_points
 from spl_batch.formats.units import Units, in_words
@@ -81,7 +81,7 @@ class Imaging(Receiver[Survey, Context]):
     def plan_rows(
         self, prepared: Prepared[Survey, Context], cost: SurveyCost
     ) -> list[tuple[str, str]]:
-        """Label and value of what a plan tells beside disk, memory and time."""
+        """Label and value of what a plan prints beside disk, memory and time."""
         settings = prepared.ledger.workflow
         area_km2 = cost.tiles * settings.tiling.tile_m**2 / 1e6
         halo = (
@@ -117,7 +117,7 @@ class Imaging(Receiver[Survey, Context]):
     def first_look(self, prepared: Prepared[Survey, Context]) -> FirstLook:
         """Which companions of the points cannot be read."""
         inputs = prepared.ledger.inputs
-        faults, late = map(told_together, (inputs.no_trajectory, inputs.reference.bad))
+        faults, late = map(merged_faults, (inputs.no_trajectory, inputs.reference.bad))
         return FirstLook(tuple(faults), late=tuple(late))
 
     def after(
@@ -137,7 +137,7 @@ class Imaging(Receiver[Survey, Context]):
             yield from points_astray(survey)
         if step.name in {"trajectory_file", "trajectory"} and not survey.of(step.name):
             failures = [r.reason for r in failed if r.kind == step.name]
-            if failures:  # nothing tells where the sensor was
+            if failures:  # nothing shows where the sensor was
                 raise WorkflowError(f"survey.trajectory: {'; '.join(failures)}")
         if step.name == "sensor_path" and survey.of("sensor_path"):
             yield beams_without_trajectory(survey)

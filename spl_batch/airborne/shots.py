@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse import afterpulse_law, candidates
 from spl_batch.airborne.afterpulse.afterpulse_law import AfterpulseLaw
-from spl_batch.airborne.beams.told_apart import told_apart
+from spl_batch.airborne.beams.separate_beamlets import separate_beamlets
 from spl_batch.airborne.noise import gains, line_noise, line_statistics
 from spl_batch.airborne.noise.line_model import LineModel
 from spl_batch.airborne.sensors.sensor import Sensor
@@ -55,7 +55,7 @@ def observe(
     """Noise statistics of a stretch, at least one point, and those of its afterpulses."""
     observed = line_statistics.observe(table, beams, settings, beamlets.stated.gate_m)
     if beamlets.unnumbered:
-        table, order = told_apart(table, beams, beamlets.stated)
+        table, order = separate_beamlets(table, beams, beamlets.stated)
         beams = beams.take(order)
     return observed | candidates.observe(table, beams, beamlets.stated)
 
@@ -111,7 +111,7 @@ def assess(
     if beamlets.unnumbered:
         # A beamlet is one of many of the shot's, whose noise is counted as that of one.
         sensor, of_shot = beamlets.stated, float(beamlets.stated.beamlets)
-        known, order = told_apart(known, lit, sensor)
+        known, order = separate_beamlets(known, lit, sensor)
         lit, rows = lit.take(order), rows[order]
         added["channel"] = table["channel"].copy()
         added["channel"][rows] = known["channel"]

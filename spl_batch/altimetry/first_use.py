@@ -1,4 +1,4 @@
-"""A first workflow for photons along a track: what the headers of the files tell."""
+"""A first workflow for photons along a track: by the headers of the files."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -23,7 +23,7 @@ from spl_batch.engine.tasks.input_changes import stamp
 from spl_batch.engine.tasks.ledger import Ledger
 from spl_batch.engine.tasks.task import Task
 from spl_batch.engine.verbs.receiver import FirstLook
-from spl_batch.errors import InputError, WorkflowError, told_together
+from spl_batch.errors import InputError, WorkflowError, merged_faults
 
 RATES_PHOTONS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
     {"index": 2.0e6, "signal": 0.1e6, "profile": 1.0e6, "deliver": 0.8e6}
@@ -125,7 +125,7 @@ def gather_inputs(workflow: TrackWorkflow, base: Path, output: Path) -> Inputs:
 def _atl08(
     files: Sequence[Path], base: Path, sources: Sequence[Source]
 ) -> tuple[tuple[Path, ...], tuple[Finding, ...]]:
-    """Files that are of ATL08, and what to say of the others."""
+    """Files that are of ATL08, and the faults of the others."""
     good, warnings = [], []
     for path in files:
         why = no_atl08(path)
@@ -245,7 +245,7 @@ def deliver_file(tracks: Tracks) -> Iterator[Task]:
 
 
 def estimate(tracks: Tracks, context: Context | None = None) -> Cost:
-    """Cost of a run, from what headers say; ``context``: where measured rates may lie."""
+    """Cost of a run, by headers; ``context``: where measured rates may lie."""
     workflow = tracks.workflow
     photons = [beam.photons for _, beam, _ in tracks.beams()]
     longest = max(photons, default=0)
@@ -289,9 +289,9 @@ def first_look(inputs: Inputs, cell_m: float) -> FirstLook:
             lost.append(source)
             bad.append(error)
     if inputs.sources and len(lost) == len(inputs.sources):
-        raise WorkflowError("no input is usable: " + "; ".join(told_together(bad)))
+        raise WorkflowError("no input is usable: " + "; ".join(merged_faults(bad)))
     return FirstLook(
-        tuple(told_together(bad[len(inputs.bad) :])),
+        tuple(merged_faults(bad[len(inputs.bad) :])),
         unreadable=len(lost),
         unreadable_points=sum(beam.photons for source in lost for beam in source.beams),
     )

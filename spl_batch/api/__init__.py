@@ -1,6 +1,6 @@
 """The verbs of the project, usable from a notebook; the command line only calls these.
 
-A verb is imported when it is asked for: planning needs no pictures, say.
+A verb is imported when it is asked for: planning needs no pictures, for instance.
 """
 
 from importlib import import_module

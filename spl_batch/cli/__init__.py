@@ -16,8 +16,8 @@ from click.shell_completion import get_completion_class
 
 from spl_batch import api
 from spl_batch.cli import document
-from spl_batch.cli.console import say_error
-from spl_batch.errors import INTERRUPTED, SplBatchError, told_by_system
+from spl_batch.cli.console import print_error
+from spl_batch.errors import INTERRUPTED, SplBatchError, system_fault
 
 _CONTINUES = frozenset({"run", "quickstart", "compare", "denoise"})
 """Commands that go on where they stopped."""
@@ -214,7 +214,7 @@ def denoise(source: Path, target: Path, **options: Any) -> int:
     """Label the noise of IN.laz in OUT.laz, without a workflow file.
 
     OUT.laz has every point, in order. Noise has class 7 (below the surface) or 18 (above it),
-    afterpulses too; `noise_class` tells them apart. What is not given is guessed, and printed.
+    afterpulses too; `noise_class` distinguishes them. What is not given is guessed, and printed.
     """
     from spl_batch.cli import screen, view  # noqa: PLC0415
 
@@ -277,7 +277,7 @@ def main(arguments: list[str] | None = None) -> None:
         _end(f"spl-batch: {text}", 3, as_json and text)
     except OSError as error:
         full = error.errno in {errno.ENOSPC, errno.EDQUOT}
-        text = told_by_system(error, "free some space and run again" if full else "")
+        text = system_fault(error, "free some space and run again" if full else "")
         _end(f"spl-batch: {text}", 3 if full else 2, as_json and text)
     except Exception:  # an interrupt may come up as something else, as in a compiler's callback
         if not INTERRUPTED.is_set():
@@ -304,7 +304,7 @@ def _leave(status: int) -> None:
 def _end(text: str, status: int, document_text: object = "") -> NoReturn:
     """Print why the command ends, and end it."""
     if text:
-        say_error(text)
+        print_error(text)
     if document_text:
         document.print_error(str(document_text), status)
     sys.exit(status)

@@ -21,7 +21,7 @@ class PlainConsole(Console):
         for segment in super().render(renderable, options):
             yield segment if segment.control else _shown(segment)
 
-    def say(self, text: str, style: str = "") -> None:
+    def print_line(self, text: str, style: str = "") -> None:
         """Print a message as one line, which a terminal wraps."""
         self.print(Text(plain(text), style=style), soft_wrap=True)
 
@@ -36,7 +36,7 @@ def is_screen(console: Console) -> bool:
     return terminal and "JPY_PARENT_PID" not in os.environ
 
 
-def say_error(text: str) -> None:
+def print_error(text: str) -> None:
     """Print a message to standard error."""
     click.echo(plain(text), err=True)
 

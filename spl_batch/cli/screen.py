@@ -10,7 +10,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from spl_batch.cli.console import PlainConsole, is_screen, say_error
+from spl_batch.cli.console import PlainConsole, is_screen, print_error
 from spl_batch.cli.view import duration, speed
 from spl_batch.errors import counted, grouped, storage
 
@@ -36,7 +36,7 @@ _OUT: Final = PlainConsole()
 def print_result(result: "RunResult") -> None:
     """Print how a run ended."""
     if result.report is None and not result.screen:
-        _OUT.say(f"stopped as asked; run again to continue in {result.output}")
+        _OUT.print_line(f"stopped as asked; run again to continue in {result.output}")
         return
     _pairs(result.screen)
     for label, paths in result.results:
@@ -65,9 +65,9 @@ def print_beginning(begun: "Beginning") -> None:
     """Print what files hold of a survey, and what they do not."""
     _pairs(begun.found)
     for label, text in begun.unknown:
-        _OUT.say(f"unknown: {label}: {text}", "yellow")
+        _OUT.print_line(f"unknown: {label}: {text}", "yellow")
     for text in begun.left_out:
-        _OUT.say(f"left out: {text}", "yellow")
+        _OUT.print_line(f"left out: {text}", "yellow")
     _path("workflow", begun.workflow)
 
 
@@ -94,9 +94,9 @@ def print_plan(summary: "PlanSummary") -> None:
         ]
     )
     for one in summary.findings:
-        _OUT.say(f"warning: {one.text}", "yellow")
+        _OUT.print_line(f"warning: {one.text}", "yellow")
     for text in summary.faults:
-        _OUT.say(f"unusable: {text}", "red")
+        _OUT.print_line(f"unusable: {text}", "red")
 
 
 def print_status(status: "RunStatus") -> None:
@@ -122,7 +122,7 @@ def watch_status(follower: "Follower", every_s: float = 1.0) -> "RunStatus":
 def await_run(output: Path, every_s: float = 1.0) -> None:
     """Wait until a run has begun in a folder that is not there yet."""
     if not output.exists():
-        say_error(f"info: no run has begun in {output} yet: waiting for one; Ctrl-C ends")
+        print_error(f"info: no run has begun in {output} yet: waiting for one; Ctrl-C ends")
     while not output.exists() or {path.name for path in output.glob("*")} == {"store"}:
         time.sleep(every_s)
 
@@ -178,7 +178,7 @@ def _pairs(pairs: Sequence[tuple[str, str]]) -> None:
         if is_screen(_OUT):
             table.add_row(Text(label, style=style or "dim"), Text(value, style=style))
         else:
-            _OUT.say(f"{label:{width}}  {value}")
+            _OUT.print_line(f"{label:{width}}  {value}")
     if table.row_count:
         _OUT.print(table)
 

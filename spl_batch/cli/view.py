@@ -79,9 +79,9 @@ class View:
                 self._bars.clear()
             elif isinstance(event, Note):
                 word = {"error": "unusable"}.get(event.level, event.level)  # as a plan calls it
-                self._console.say(f"{word}: {event.text}", _STYLES.get(event.level, "dim"))
+                self._console.print_line(f"{word}: {event.text}", _STYLES.get(event.level, "dim"))
             elif isinstance(event, WorkersReady) and event.dashboard:
-                self._console.say(f"info: dask dashboard: {event.dashboard}", "dim")
+                self._console.print_line(f"info: dask dashboard: {event.dashboard}", "dim")
             elif isinstance(event, PhaseStarted | TaskEnded):
                 self._stage(event)
             elif isinstance(event, Compiling):
@@ -103,7 +103,7 @@ class View:
             return
         if event.reason and event.code != "F03":  # that is made again, or named at the end
             called = event.called or f"{event.kind} {event.name}"
-            self._console.say(f"failed: {called}: {event.reason}", "red")
+            self._console.print_line(f"failed: {called}: {event.reason}", "red")
         self._line(f"{event.stage}: {stage.total - stage.left}/{stage.total}{_pace(stage)}")
 
     def _show(self, stage: StageStatus) -> None:
@@ -124,7 +124,7 @@ class View:
         """Print a line to a log, unless there was one just before."""
         if not self._drawn and (now or time.monotonic() - self._printed_s > LINE_S):
             self._printed_s = time.monotonic()
-            self._console.say(text)
+            self._console.print_line(text)
 
 
 @contextmanager

@@ -1,1 +1,1 @@
-"""Engine of every receiver: tasks, receipts, workers, verbs, and what is told of a run."""
+"""Engine of every receiver: tasks, receipts, workers, verbs, and the report of a run."""

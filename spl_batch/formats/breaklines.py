@@ -1,8 +1,8 @@
 """Breaklines of water: polygons and lines with heights, of any vector format.
 
 A polygon with a line in it is a river, whose heights are the line's. Any other is a lake of one
-height: that of all its vertices, or a field :data:`HEIGHT_FIELDS`. Every fault of a file is told at
-once.
+height: that of all its vertices, or a field :data:`HEIGHT_FIELDS`. Every fault of a file is
+reported at once.
 """
 
 from dataclasses import dataclass
@@ -107,7 +107,7 @@ def _water(
     lines: list[shapely.LineString],
     unit: tuple[str, float],
 ) -> Water:
-    """What a polygon is; ValueError, in the survey's unit, where its heights do not tell."""
+    """What a polygon is; ValueError, in the survey's unit, where its heights leave it open."""
     flat = shapely.force_2d(shape)
     area = flat if shapely.is_valid(flat) else shapely.make_valid(flat)
     inside = [line for line in lines if shapely.length(shapely.intersection(line, area)) > 0]
@@ -122,7 +122,7 @@ def _water(
     if max(z.max() - height, height - z.min()) > LEVEL_M:
         raise ValueError(
             f"its vertices lie at {both(z.min(), unit)} to {both(z.max(), unit)}, its field of "
-            f"heights says {both(height, unit)}: correct one, or leave the field out"
+            f"heights states {both(height, unit)}: correct one, or leave the field out"
         )
     if np.ptp(z) > LEVEL_M:
         raise ValueError(

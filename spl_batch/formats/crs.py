@@ -117,7 +117,7 @@ def _with_its_code(crs: CRS) -> CRS:
 
 
 def is_nameless(name: str) -> bool:
-    """Whether a name of a CRS or a datum says nothing."""
+    """Whether a name of a CRS or a datum is empty of meaning."""
     return _NAMELESS.match(name) is not None
 
 

@@ -53,7 +53,7 @@ def bounded(
 
 @contextmanager
 def gathered(faults: list[str]) -> Iterator[None]:
-    """Keep a file's faults, so that all are told at once."""
+    """Keep a file's faults, so that all are reported at once."""
     try:
         yield
     except InputError as error:
@@ -61,7 +61,7 @@ def gathered(faults: list[str]) -> Iterator[None]:
 
 
 def refuse_bomb(path: Path | str, what: str, declared_bytes: int, stored_bytes: int) -> None:
-    """Refuse data that would unpack to far more than their bytes can say of a survey.
+    """Refuse data that would unpack to far more than their bytes can hold of a survey.
 
     Parameters
     ----------

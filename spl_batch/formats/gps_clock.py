@@ -69,7 +69,7 @@ def leap_seconds(time_s: float) -> int:
     Parameters
     ----------
     time_s : float
-        A time in any standard; seconds of the week, which tell no year, count as of today [s].
+        A time in any standard; seconds of the week, which have no year, count as of today [s].
     """
     standard = time_standard(np.array([time_s]))
     if standard not in {"adjusted", "unix_or_gps"}:
@@ -95,7 +95,7 @@ def clock(
 ) -> Callable[[NDArray[np.float64]], NDArray[np.float64]] | None:
     """How times of a trajectory become the points'; None where nothing is to be done.
 
-    Week seconds do not tell the week: the one is taken that brings each record closest to the
+    Week seconds leave the week open: the one is taken that brings each record closest to the
     points. Records that wrap round at its end may change places.
 
     Parameters

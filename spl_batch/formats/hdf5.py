@@ -25,7 +25,7 @@ def open_hdf5(path: Path) -> Iterator[h5py.File]:
     """
     with open_input(path) as stream:
         if stream.read(len(SIGNATURE)) != SIGNATURE:
-            raise InputError(str(path), "is no HDF5 file (its first bytes say so); copy it again")
+            raise InputError(str(path), "is no HDF5 file (by its first bytes); copy it again")
     with as_input_fault(path, "damaged HDF5"), h5py.File(path, "r") as file:
         yield file
 

@@ -48,7 +48,7 @@ def with_vertical(crs: CRS | None, text: str, key: str) -> CRS:
         raise WorkflowError(f"{key}: the files have no CRS that it could complete: set survey.crs")
     if len(crs.axis_info) > 2 and not crs.is_compound:
         raise WorkflowError(
-            f"{key}: the files say heights above the ellipsoid by {crs_name(crs)}, not "
+            f"{key}: the files state heights above the ellipsoid by {crs_name(crs)}, not "
             f"{crs_name(named)}; leave the key out, or correct the files"
         )
     found = vertical(crs)
@@ -58,8 +58,8 @@ def with_vertical(crs: CRS | None, text: str, key: str) -> CRS:
         if same_heights(found, named):
             return crs
         raise WorkflowError(
-            f"{key}: the files say {crs_name(found)}, not {crs_name(named)}; leave the key out, or "
-            "correct the files"
+            f"{key}: the files state {crs_name(found)}, not {crs_name(named)}; leave the key out, "
+            "or correct the files"
         )
     mine, ours = Units.of(found), Units.of(named)
     if mine.vertical_m != ours.vertical_m:
@@ -97,7 +97,7 @@ def _above(heights: CRS) -> str:
 
 
 def heights_above(crs: CRS) -> str:
-    """What a CRS says that heights are above, by name; empty where it states their unit at most."""
+    """What heights of a CRS are above, by name; empty where it states their unit at most."""
     heights = vertical(crs)
     deep = "the ellipsoid" if len(crs.axis_info) > 2 else ""
     return deep if heights is None else _above(heights)
@@ -140,12 +140,12 @@ def with_heights_of(crs: CRS, stating: CRS) -> CRS:
 
 
 def is_above_ellipsoid(crs: CRS) -> bool:
-    """Whether a CRS says that heights are above the ellipsoid, as GDAL's vertical CRS say too."""
+    """Whether heights of a CRS are above the ellipsoid, as those of GDAL's vertical CRS may be."""
     return "ellipsoid" in heights_above(crs).lower()
 
 
 def states_heights(crs: CRS) -> bool:
-    """Whether a CRS says what heights are above, or their unit."""
+    """Whether a CRS states what heights are above, or their unit."""
     return vertical(crs) is not None or len(crs.axis_info) > 2
 
 

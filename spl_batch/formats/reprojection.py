@@ -99,9 +99,9 @@ class Reprojection:
         asked = named is not survey and states_heights(named)
         if asked and not names_datum(survey):
             raise WorkflowError(
-                f"{KEY}: {crs_name(vertical(named) or named)} is named, and nothing says what the "
-                "survey's heights are above: name it in survey.vertical_crs; from the ellipsoid to "
-                "a geoid leads outputs.geoid"
+                f"{KEY}: {crs_name(vertical(named) or named)} is named, and nothing states what "
+                "the survey's heights are above: name it in survey.vertical_crs; from the "
+                "ellipsoid to a geoid leads outputs.geoid"
             )
         kept = states_heights(survey) and not states_heights(named)
         whole = with_heights_of(named, survey) if kept else named

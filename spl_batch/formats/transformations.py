@@ -1,7 +1,7 @@
 """Transformations between CRS: the best one that PROJ knows, or none.
 
 Shapes alone may keep their degrees where PROJ lacks the grids of that one: polygons of agencies are
-in NAD83 beside surveys in a later realisation of it, and EPSG says how accurate that is.
+in NAD83 beside surveys in a later realisation of it, and EPSG states how accurate that is.
 """
 
 import warnings

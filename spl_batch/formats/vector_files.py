@@ -1,6 +1,6 @@
 """Vector files that GDAL reads: layers of shapes, polygons of areas of interest and water.
 
-GDAL gives nothing in place of a geometry that it cannot decode, and says nothing of it. A lake that
+GDAL gives nothing in place of a geometry that it cannot decode, without a warning. A lake that
 is lost so would be land, so a damaged shape is refused by its number. GDAL distinguishes formats by
 their first bytes, whatever a file is called, and some hold no content but the names of other files,
 of services, or of commands that make it: these are refused.
@@ -76,7 +76,7 @@ def refuse_referring(path: Path, *, raster: bool = False) -> None:
         remedy = "GeoTIFF (gdal_translate)" if raster else "GeoPackage (ogr2ogr)"
         raise InputError(
             str(path),
-            f"holds no {what} but says where GDAL finds some, in another file, a service or a"
+            f"holds no {what} but names where GDAL finds some, in another file, a service or a"
             f" pipeline: write what it stands for to a {remedy}",
         )
 
@@ -169,7 +169,7 @@ def _faults(
 
 @contextmanager
 def _as_one_line(path: Path) -> Iterator[None]:
-    """Turn what GDAL, SQLite and shapely say of a damaged file into one line.
+    """Turn errors of GDAL, SQLite and shapely for a damaged file into one line.
 
     Their warnings are no lines for a screen: each shape is looked at.
     """
@@ -276,7 +276,7 @@ def contains(
         Coordinates [quanta].
     """
     west, south, east, north = shapely.bounds(geometry) * QUANTA_PER_M
-    # Most points lie far from a small lake; this says so quickly.
+    # Most points lie far from a small lake; this shows it quickly.
     near = np.flatnonzero((x >= west) & (x <= east) & (y >= south) & (y <= north))
     mask = np.zeros(len(x), np.bool_)
     mask[near] = shapely.contains_xy(geometry, x[near] / QUANTA_PER_M, y[near] / QUANTA_PER_M)

@@ -1,8 +1,8 @@
 """Density of a survey's points by place: counts in squares of the tile grid, and what units hold.
 
-Before any work, headers tell it: a file's points spread evenly over its bounding box, and overlaps
-add up. After the shuffle the tiles tell it. A survey is a few dense pieces, so that a million tiles
-are a few arrays.
+Before any work, it follows from headers: a file's points spread evenly over its bounding box, and
+overlaps add up. After the shuffle it follows from the tiles. A survey is a few dense pieces, so
+that a million tiles are a few arrays.
 """
 
 import math

@@ -104,7 +104,7 @@ def _of_any_number(
 
 
 def kept(known: Any, kind: str = "") -> Any:
-    """Files of a function's code, written and stamped as this module says.
+    """Files of a function's code, written and stamped as this module describes.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ from scipy.special import gammainc
 from spl_batch.numerics.compiled import njit
 
 SURELY: Final = 1e-9
-"""Relative difference beyond which two tails are told apart, far more than they are off."""
+"""Relative difference beyond which two tails differ, far more than they are off."""
 
 
 @njit()

@@ -224,6 +224,25 @@ def test_until_stops_after_a_stage_and_continues(small: Path, small_output: Path
     assert surveys.results(result.output) == surveys.results(small_output)
 
 
+def test_a_survey_that_grows_and_shrinks_is_as_if_it_had_always_been_so(
+    tiny_survey: Path, tiny_output: Path, tmp_path: Path
+) -> None:
+    """A flightline arrives after the first run, and is taken away again."""
+    workflow = surveys.copy_of(tiny_survey, tmp_path)
+    late, elsewhere = tmp_path / "flightlines" / "line_02.laz", tmp_path / "line_02.laz"
+    late.rename(elsewhere)
+    first = surveys.run(workflow, "outputs.diagnostics=true", until="deliver")
+    fewer = surveys.results(first.output)
+    elsewhere.rename(late)
+    grown = surveys.run(workflow, "outputs.diagnostics=true", until="deliver")
+    assert grown.exit_status == 0
+    assert surveys.results(grown.output) == surveys.results(tiny_output)
+    late.rename(elsewhere)
+    shrunk = surveys.run(workflow, "outputs.diagnostics=true", until="deliver")
+    assert shrunk.exit_status == 0
+    assert surveys.results(shrunk.output) == fewer
+
+
 def test_no_two_runs_in_one_output(small: Path) -> None:
     with locked(small.parent / "out"):
         ended = surveys.command("run", small, "--workers", 0)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from rich.table import Table
 
 from spl_batch.cli.console import PlainConsole
-from spl_batch.errors import FAULT_MAX, InputError, StoreError, brief, one_line, plain
+from spl_batch.errors import FAULT_MAX, InputError, StoreError, one_line, plain, shortened
 from tests import surveys
 from tests.io_files import with_record
 
@@ -61,8 +61,8 @@ def test_errors_are_one_line_of_bounded_length() -> None:
     assert [len(fault) <= FAULT_MAX for fault in error.faults] == [True, True]
     assert "\n" not in str(StoreError("a\nb"))
     assert one_line(ValueError("a\x1bb")) == "ValueError: a\\x1bb"
-    assert brief("abc", 3) == "abc"
-    assert brief("a" * 50 + "b" * 50, 30) == "a" * 20 + " … " + "b" * 7
+    assert shortened("abc", 3) == "abc"
+    assert shortened("a" * 50 + "b" * 50, 30) == "a" * 20 + " … " + "b" * 7
 
 
 @pytest.fixture(scope="module")

@@ -40,7 +40,7 @@ class Watcher:
     def started(self, task: Task, worker: str) -> None:
         self.began.append((task.name, worker))
 
-    def tell(self, event: object) -> None:
+    def notify(self, event: object) -> None:
         self.told.append(event)
 
 

@@ -59,7 +59,7 @@ def progress(tmp_path: Path) -> Any:
         receiver=SimpleNamespace(before=nothing, after=nothing),
     )
     return SimpleNamespace(
-        prepared=prepared, begins_again=False, failures=[], tell=nothing, warn=nothing,
+        prepared=prepared, begins_again=False, failures=[], notify=nothing, warn=nothing,
         ended=nothing, found=nothing, deliveries=SimpleNamespace(save=nothing),
     )  # fmt: skip
 

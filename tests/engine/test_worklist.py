@@ -27,7 +27,7 @@ from spl_batch.engine.plan.worker_memory import usable_bytes
 from spl_batch.engine.report.run_record import RunFacts, StageCost, performance
 from spl_batch.engine.store.working_store import Store, write_receipt
 from spl_batch.engine.tasks import runner
-from spl_batch.engine.tasks.ledger import Shelf
+from spl_batch.engine.tasks.ledger import StepReceipts
 from spl_batch.engine.tasks.task import Job, Outcome, Receipt, Task
 from spl_batch.engine.verbs.graph import Worklist
 from spl_batch.formats.units import METRES, Units
@@ -164,17 +164,22 @@ def test_a_shelf_keeps_what_later_phases_read() -> None:
     facts = {"points": 3, "sources": ["7", "9"], "share": 0.1}
     outputs = {"store/tiles/0_0.parquet": "c"}
     given = Receipt("build_tile", "0_0", "key", "0fd", "", outputs, facts, 3, 1.0, 9.0)
-    shelf = Shelf(STEPS["build_tile"])
-    shelf.put(given)
-    kept = shelf["0_0"]
-    assert (kept.digest, shelf.digest("0_0"), kept.points) == ("0fd", "0fd", 3)
+    receipts = StepReceipts(STEPS["build_tile"])
+    receipts.put(given)
+    kept = receipts["0_0"]
+    assert (kept.digest, receipts.digest("0_0"), kept.points) == ("0fd", "0fd", 3)
     assert kept.facts == facts
-    assert (kept.outputs, len(shelf), "0_0" in shelf, "1_0" in shelf) == ({}, 1, True, False)
-    delivered = Shelf(STEPS["mosaic"])
+    assert (kept.outputs, len(receipts), "0_0" in receipts, "1_0" in receipts) == (
+        {},
+        1,
+        True,
+        False,
+    )
+    delivered = StepReceipts(STEPS["mosaic"])
     delivered.put(Receipt("mosaic", "dtm", "", "d", "", {"dtm.tif": "c"}, {}, 0, 0.0, 0.0))
     assert delivered["dtm"].outputs == {"dtm.tif": "c"}
     with pytest.raises(KeyError):
-        shelf.digest("1_0")
+        receipts.digest("1_0")
 
 
 def test_only_the_unit_that_cannot_fit_is_refused() -> None:

@@ -145,9 +145,9 @@ def test_a_named_vertical_crs_completes_that_of_the_files(tmp_path: Path) -> Non
     ("crs", "text", "fault"),
     [
         ("EPSG:32615", "EPSG:32615", "is no vertical CRS"),
-        ("EPSG:32615+6360", "EPSG:5703", "the files say 'NAVD88 height .ftUS"),
+        ("EPSG:32615+6360", "EPSG:5703", "the files state 'NAVD88 height .ftUS"),
         ("EPSG:32615", "EPSG:5612", "counts Depth down"),
-        ("EPSG:32615+5703", "EPSG:5773", "the files say 'NAVD88 height'"),
+        ("EPSG:32615+5703", "EPSG:5773", "the files state 'NAVD88 height'"),
         (None, "EPSG:5703", "no CRS that it could complete"),
     ],
 )

@@ -41,7 +41,7 @@ def test_a_vector_file_that_names_another_is_refused(
     secret.write_text(POLYGON)
     path = tmp_path / "aoi.gpkg"
     path.write_text(REFERRING[kind].format(secret=secret))
-    with pytest.raises(InputError, match="says where GDAL finds some"):
+    with pytest.raises(InputError, match="names where GDAL finds some"):
         read(path, UTM)
 
 
@@ -51,7 +51,7 @@ def test_a_raster_that_names_another_is_refused(tmp_path: Path) -> None:
         '<VRTDataset rasterXSize="4" rasterYSize="4"><SRS>EPSG:4326</SRS><GeoTransform>0, 1, 0,'
         ' 0, 0, -1</GeoTransform><VRTRasterBand dataType="Float32" band="1"/></VRTDataset>'
     )
-    with pytest.raises(InputError, match="says where GDAL finds some"):
+    with pytest.raises(InputError, match="names where GDAL finds some"):
         sample_terrain(path, np.full(2, -1.5), np.full(2, 1.5))
 
 

@@ -82,7 +82,7 @@ def test_heights_of_which_the_unit_alone_is_known_are_above_nothing_that_is_name
     unit = f'VERT_CS["{name}",VERT_DATUM["unknown",2005],UNIT["US survey foot",{US_M!r}]]'
     survey = compound(CRS("EPSG:2278"), CRS(unit))
     for named in (TEXAS, "EPSG:32140+5703", CRS("EPSG:2278").to_3d().to_wkt()):
-        with pytest.raises(WorkflowError, match=r"nothing says what .* survey\.vertical_crs"):
+        with pytest.raises(WorkflowError, match=r"nothing states what .* survey\.vertical_crs"):
             Reprojection(survey, named)
     stated = with_vertical(survey, "EPSG:6360", "survey.vertical_crs")
     assert Reprojection(stated, TEXAS).crs == CRS(TEXAS)
@@ -310,7 +310,7 @@ def test_an_inputs_own_heights_above_ground_are_in_the_clouds_unit(
 @pytest.mark.parametrize(
     ("survey", "named", "fault"),
     [
-        ("EPSG:32615", TEXAS, "nothing says what the survey's heights"),
+        ("EPSG:32615", TEXAS, "nothing states what the survey's heights"),
         (None, TEXAS, "the survey has no CRS"),
         ("EPSG:32615", "EPSG:4326", "geographic .* projected: name a projected CRS"),
         ("EPSG:32615", "EPSG:4978", "geocentric, .* projected: name a projected CRS"),

@@ -8,8 +8,8 @@ beside a roof stays. Returns behind another one of their beamlet take no part in
 plane of all of them does not do, one of the fullest range stands for it. Distances to the threshold
 run along the beam. Away from hard surfaces the lag gives a probability below one half, and the
 space domain decides (:mod:`~spl_batch.airborne.afterpulse.afterpulse_decision`). Where beamlets
-cannot be told apart (:mod:`~spl_batch.airborne.beams.told_apart`), the published rule stands, down
-to ``lag_max_m``.
+cannot be separated (:mod:`~spl_batch.airborne.beams.separate_beamlets`), the published rule
+applies, down to ``lag_max_m``.
 
 ``method: published`` has none of these but the distances along the beam: one plane for each shot
 that has enough candidates, and all that lies below it.

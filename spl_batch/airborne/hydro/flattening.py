@@ -1,4 +1,4 @@
-"""Hydro-flattening: terrain and surface in lakes and rivers are what breaklines say.
+"""Hydro-flattening: terrain and surface in lakes and rivers are those of breaklines.
 
 Domain: space. Source: USGS Lidar Base Specification, Digital Elevation Model Surface Treatments,
 Hydro-Flattening. Lakes are flat and level. Rivers are level from bank to bank, at right angles to
@@ -104,9 +104,9 @@ def flatten(rasters: dict[str, Raster], water: Raster) -> Banks:
     Parameters
     ----------
     rasters : dict of str to (rows, cols) float32
-        ``dtm, dsm, chm, dtm_quality`` of a ground cell; are changed where its ``density`` tells
+        ``dtm, dsm, chm, dtm_quality`` of a ground cell; are changed where its ``density`` shows
         that it was flown, and where ``dtm`` has a height all the same. A surface lies nowhere below
-        the water; how well a breakline is known nobody says, so that ``dtm_quality`` is void.
+        the water; how well a breakline is known is not stated, so that ``dtm_quality`` is void.
     water : (rows, cols) float32
         From :func:`water_heights`.
     """

@@ -1,6 +1,6 @@
 """Noise filters: ours, and those of the sources.
 
-What a source leaves open is ours, and its description says so.
+What a source leaves open is ours, and marked so in its description.
 """
 
 from typing import Literal
@@ -143,7 +143,9 @@ class FilterSettings(Section):
     spacing_neighbours: int = Field(
         6, ge=1, le=64, description="Spacing is the distance to this neighbour [count]."
     )
-    spacing_cap_m: Positive = Field(3.0, le=40, description="Largest spacing told apart [m].")
+    spacing_cap_m: Positive = Field(
+        3.0, le=40, description="Largest spacing that is distinguished [m]."
+    )
     neighbours: int = Field(
         25, ge=4, le=64, description="Neighbours whose spread shapes the ellipsoid; 15 in [W18]."
     )

@@ -126,7 +126,7 @@ class TrackMethod(ComparedMethod):
     title: str = Field(description="What a reader knows it by.")
     photons: Count = Field(description="Photons in the input files [count].")
     false_signal: Number = Field(
-        None, description="Noise to be expected among it, where the method tells [count]."
+        None, description="Noise to be expected among it, where the method gives it [count]."
     )
     labels: Agreement | None = Field(None, description="Against the reference's labels.")
     ground: Statistics | None = Field(None, description="Ground minus reference, all beams.")

@@ -174,7 +174,7 @@ def _window(
         ground = kept
     elif signal.method == "mdbscan":
         kept = ground = baseline
-        # As sure as a method without scores can say.
+        # As sure as a method without scores can be.
         score = np.where(kept, np.float32(-30.0), np.float32(0.0))
     return {
         "score": score,

@@ -1,7 +1,7 @@
 """ICESat-2 ATL03: photons by geolocation segment.
 
 Along-track distance is that of the segment from the equator crossing plus that of the photon
-within its segment. Photons lie segment by segment, so ``segment_ph_cnt`` alone says whose
+within its segment. Photons lie segment by segment, so ``segment_ph_cnt`` alone shows whose
 they are; ``ph_index_beg`` is not looked at, which subsetting tools leave one off.
 """
 

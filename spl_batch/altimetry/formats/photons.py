@@ -27,10 +27,10 @@ _ALONG_MAX_M: Final = 1e9
 
 @dataclass(frozen=True, slots=True)
 class BeamFacts:
-    """What a file's header says of a beam."""
+    """A beam by its file's header."""
 
     name: str  #: As the product calls it.
-    photons: int  #: Photons, or an estimate where only reading tells [count].
+    photons: int  #: Photons, or an estimate where only reading counts them [count].
     group: str  #: Group of its photons in an HDF5 file.
 
 
@@ -52,7 +52,7 @@ class Photons:
     row: NDArray[np.int64]  #: (n,): position in the file.
     along: NDArray[np.int64]  #: (n,): along-track distance [quanta].
     height: NDArray[np.int32]  #: (n,): height [quanta].
-    #: (n,): where [deg]; NaN where the file does not tell.
+    #: (n,): where [deg]; NaN where the file has none.
     latitude: NDArray[np.float64]
     longitude: NDArray[np.float64]
     read: int  #: Photons of the slice, placed or not [count].

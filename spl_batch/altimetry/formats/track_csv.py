@@ -111,7 +111,7 @@ _CELL: Final = re.compile(r"CSV column #(\d+): (?:Row #(\d+): )?.*invalid value 
 
 
 def _no_number(path: Path, reason: str) -> str:
-    """What pyarrow says of a table that is none of numbers, with the column's name."""
+    """Pyarrow's reason for a table that is none of numbers, with the column's name."""
     found = _CELL.search(reason)
     if found is None:
         return f"cannot be read as numbers: {reason[:200]}"

@@ -1,6 +1,6 @@
 """Ground of each cell of a profile, from photons that may be signal.
 
-[W17] 4.3 compares an "extracted ground surface" with lidar and does not say how it was extracted;
+[W17] 4.3 compares an "extracted ground surface" with lidar and leaves open how it was extracted;
 there is no equation of it to follow. :func:`lowest_layers` is a vote of photons for lines, slope by
 slope (R. Duda and P. Hart, *Use of the Hough transformation to detect lines and curves in
 pictures*, Commun. ACM 15, 1972), that keeps the lowest line with votes enough where the Hough

@@ -1,6 +1,6 @@
 """Ground and canopy top along the track, from signal photons.
 
-[W17] 4.3 compares an "extracted ground surface" with lidar (Fig. 4-7 to 4-12) and does not say how
+[W17] 4.3 compares an "extracted ground surface" with lidar (Fig. 4-7 to 4-12) and leaves open how
 it was extracted; nor has it a canopy. Here the ground of a cell is the lowest dense layer of its
 signal photons and its neighbours', under the slope that packs them best; what neighbouring cells
 contradict is put right; and a line is fitted through the layer with bisquare weights

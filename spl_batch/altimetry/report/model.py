@@ -1,4 +1,4 @@
-"""What the report of photon profiles says: one frozen model, from which its schema is made."""
+"""Content of the report of photon profiles: one frozen model, from which its schema is made."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -80,7 +80,7 @@ class TrackReport(Part):
 
     schema_version: Literal[1] = SCHEMA_VERSION
     name: str = Field(description="Title of the report.")
-    method: Method = Field(description="What tells signal from noise.")
+    method: Method = Field(description="What separates signal from noise.")
     counts: TrackCounts
     ground: Statistics | None = Field(None, description="Ground minus reference, all beams.")
     baseline_ground: Statistics | None = Field(None, description="The same, by mDBSCAN.")

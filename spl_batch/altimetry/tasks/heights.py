@@ -1,4 +1,4 @@
-"""Stage ``profile``: ground and canopy top of a beam, and what a reference says of it."""
+"""Stage ``profile``: ground and canopy top of a beam, and their differences from a reference."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -28,7 +28,7 @@ COLUMNS: Final = {**over_water.COLUMNS, **_WHERE, "baseline_ground": np.float64}
 """Columns of a profile in the store; the last one is mDBSCAN's ground."""
 
 REFERENCE_GAP_M: Final = 200.0
-"""Points of a reference that are farther apart say nothing of what lies between them [m]."""
+"""Points of a reference that are farther apart give no height between them [m]."""
 
 
 def profile_beam(args: Mapping[str, Any], context: Context) -> Produced:

@@ -22,7 +22,7 @@ from spl_batch.lattice.tiles import quanta
 
 
 def index_file(args: Mapping[str, Any], context: Context) -> Produced:
-    """Take the checksum of a file, so that the report can say which one was read."""
+    """Take the checksum of a file, so that the report can name the one that was read."""
     del context
     path = Path(args["path"])
     with unchanged(path, args["stamp"]):

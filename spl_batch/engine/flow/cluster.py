@@ -123,7 +123,7 @@ def executor(
         if scheduler is not None:
             check_workers(client, context, memory_bytes)
         dashboard = str(client.dashboard_link or "") if find_spec("bokeh") else ""
-        observer.tell(WorkersReady(scheduler or "", dashboard))
+        observer.notify(WorkersReady(scheduler or "", dashboard))
         return client
 
     pool = OnDask(connect, context, observer, local=scheduler is None, warm_up=warm_up)

@@ -89,7 +89,7 @@ class OnDask:
         from distributed import as_completed  # noqa: PLC0415 - slow import, only when used
 
         if self._warm_up is not None:
-            self._warm_up.begin(self.observer.tell)  # workers start for seconds
+            self._warm_up.begin(self.observer.notify)  # workers start for seconds
         self.client = self._connect()
         self._topic = f"spl_batch-{self.client.id}"
         self._ended = as_completed(with_results=True, raise_errors=False, loop=self.client.loop)
@@ -233,7 +233,7 @@ class OnDask:
             self._starved.add(sign["worker"])
             used = f"{sign['rss'] / 2**20:.0f} MiB"
             text = f"worker {sign['worker']} was killed while it used {used}"
-            self.observer.tell(Note("info", text))
+            self.observer.notify(Note("info", text))
 
 
 class _Watch:
@@ -266,7 +266,7 @@ class _Watch:
                 return
 
     def _count(self, found: Mapping[str, Mapping[str, Any]]) -> None:
-        now, tell = time.monotonic(), self._of.observer.tell
+        now, tell = time.monotonic(), self._of.observer.notify
         for address in self.known.keys() - found.keys():
             tell(Note("info", f"worker {address} is lost; other workers do its tasks"))
         if found:

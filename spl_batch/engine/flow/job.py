@@ -25,7 +25,7 @@ from spl_batch.receivers import steps
 class Observer(Protocol):
     """Someone who is notified of what happens to tasks and workers."""
 
-    def tell(self, event: Event) -> None:
+    def notify(self, event: Event) -> None:
         """Take in what has happened to the workers."""
 
     def started(self, task: Task, worker: str) -> None:

@@ -45,7 +45,7 @@ class Front:
     facts: tuple[str, ...]  #: What comes below the title.
     #: Anchor and name of each section that the receiver adds.
     sections: tuple[tuple[str, str], ...]
-    verdicts: tuple[Verdict, ...]  #: Sentences that say whether the result can be used.
+    verdicts: tuple[Verdict, ...]  #: Sentences on whether the result can be used.
     cards: tuple[tuple[str, str, str], ...]  #: Label, value and remark of each key number.
 
 

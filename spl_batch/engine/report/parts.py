@@ -46,7 +46,7 @@ def finite_or_none(value: Any) -> Any:
     try:
         number = float(value)
     except (TypeError, ValueError):
-        return value  # not a number: the field's own type says what is wrong with it
+        return value  # not a number: the field's own type names what is wrong with it
     return number if math.isfinite(number) else None
 
 

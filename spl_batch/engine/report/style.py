@@ -2,7 +2,7 @@
 
 Figures are made with the object interface and an Agg canvas, and none outlives its picture. All
 text is in DejaVu Sans, which matplotlib brings along: pictures are the same on every machine.
-Colour-blind readers can tell the colours apart: ramps grow steadily in lightness, the diverging one
+Colour-blind readers can separate the colours: ramps grow steadily in lightness, the diverging one
 runs from blue to red.
 """
 

@@ -64,7 +64,7 @@ def speed_remark(work: Performance, noun: str = "points") -> str:
 
 
 def failure_verdict(failures: Sequence[Failure], findings: Sequence[FindingReport]) -> Verdict:
-    """Sentence that says what has failed."""
+    """Sentence that names what has failed."""
     failed, warned = len(failures), len(findings)
     remarks = f"{number(warned)} warning{'s' * (warned != 1)}" if warned else "no warnings"
     if failed:

@@ -51,7 +51,7 @@ class StoreSettings(Section):
 
 
 class ReportSettings(Section):
-    """What a report says."""
+    """Content of a report."""
 
     ignore: tuple[str, ...] = Field(
         (),

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 
 from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.settings.mistaken_file import refuse_urls
-from spl_batch.errors import WorkflowError, brief, named, reason_of
+from spl_batch.errors import WorkflowError, named, reason_of, shortened
 from spl_batch.receivers import HOMES, IMAGING, workflow_model
 
 M = TypeVar("M", bound=BaseModel)
@@ -68,7 +68,7 @@ def workflow_content(path: Path, overrides: Sequence[str]) -> dict[str, Any]:
 
 
 def read_mapping(path: Path, otherwise: str) -> dict[str, Any]:
-    """Content of a YAML file that holds a mapping; ``otherwise``: what is said of another one.
+    """Content of a YAML file that holds a mapping; ``otherwise``: the fault of another one.
 
     WorkflowError if it cannot be read, is not YAML, names a key twice, or holds no mapping.
     """
@@ -165,11 +165,13 @@ def _fault(error: Any, model: type[BaseModel]) -> str:
     if error["type"] == "float_parsing" and place.endswith("_m"):
         message = "this key takes a number of metres, without a unit"
     elif error["type"] == "tuple_type":
-        message = "write a list" + (f", [{brief(given, 100)}]" if isinstance(given, str) else "")
+        message = "write a list" + (
+            f", [{shortened(given, 100)}]" if isinstance(given, str) else ""
+        )
     elif error["type"] == "model_type":
         names = [key[-1] for key in _keys(model) if key[:-1] == tuple(parts)]
         message = f"write a mapping with the keys {named(list(dict.fromkeys(names)))}"
-    shown = "" if isinstance(given, dict) else f" (found {brief(repr(given), 100)})"
+    shown = "" if isinstance(given, dict) else f" (found {shortened(repr(given), 100)})"
     return f"{place}: {message[0].lower()}{message[1:]}{shown}" if place else message
 
 

@@ -1,4 +1,4 @@
-"""The working store: where things lie, and the receipts that say what is finished.
+"""The working store: where things lie, and the receipts of what is finished.
 
 What receivers put there is described in ``docs/formats.md``. ::
 

@@ -1,4 +1,4 @@
-"""Inputs that change while a survey is worked on: noticed before what they say is mixed up."""
+"""Inputs that change while a survey is worked on: noticed before old and new content mix."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -47,7 +47,7 @@ def stamp(path: Path) -> tuple[int, int]:
 def stamp_if_there(path: Path) -> list[int]:
     """The stamp of an input for the task that is to read it; zeros for one that is gone.
 
-    That task says so, and fails alone.
+    That task reports it, and fails alone.
     """
     try:
         return list(stamp(path))

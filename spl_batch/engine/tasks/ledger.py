@@ -1,8 +1,8 @@
 """Ledger of a run: its inputs, its limits, and what is finished, in little memory.
 
-A survey has a tile for every 10 000 m2, and a receipt with its mappings takes kilobytes. A shelf
-keeps digest, points and the facts that something reads as one short string for each task, and makes
-receipts of them on demand.
+A survey has a tile for every 10 000 m2, and a receipt with its mappings takes kilobytes. So digest,
+points and the facts that something reads are kept as one short string for each task, and receipts
+are made of them on demand.
 """
 
 import json
@@ -20,7 +20,7 @@ I = TypeVar("I")  # noqa: E741
 W = TypeVar("W", bound=BaseWorkflow)
 
 
-class Shelf(Mapping[str, Receipt]):
+class StepReceipts(Mapping[str, Receipt]):
     """Receipts of the finished tasks of one step, by name.
 
     They lack the key and the cost, and the outputs too unless a user sees them.
@@ -71,12 +71,12 @@ class Ledger(Generic[I, W]):
     workflow: W
     memory_bytes: int  #: Memory limit of a worker [byte].
     workers: int
-    done: dict[str, Shelf] = field(default_factory=dict)
+    done: dict[str, StepReceipts] = field(default_factory=dict)
     shared: bool = False  #: Whether the limit is the workers' share, as none was given.
     remarks: tuple[Finding, ...] = ()  #: What is odd about the limits.
 
-    def of(self, step: str) -> Shelf:
+    def of(self, step: str) -> StepReceipts:
         """Finished tasks of a step, by name."""
         if step not in self.done:
-            self.done[step] = Shelf(steps(self.workflow.kind)[step])
+            self.done[step] = StepReceipts(steps(self.workflow.kind)[step])
         return self.done[step]

@@ -55,7 +55,7 @@ PACKAGE: Final = Path(spl_batch.__file__).parent
 """Folder of the project's modules."""
 
 LIBRARIES: Final = (*DECISIVE, "dask", "distributed", "h5py", "pyarrow", "pyogrio")
-"""Libraries whose versions a report tells."""
+"""Libraries whose versions a report lists."""
 
 
 @cache
@@ -198,7 +198,7 @@ def _receipt(
 def _failed(task: Task, key: str, error: BaseException, wall_s: float) -> Receipt:
     """Receipt of a task that has raised something."""
     if isinstance(error, DamagedError):
-        return failure(task, key, error.told, wall_s, code="F03", damaged=error.path)
+        return failure(task, key, error.fault, wall_s, code="F03", damaged=error.path)
     codes = ((InputError, "F01"), (MemoryError, "F02"))
     code = next((code for kind, code in codes if isinstance(error, kind)), "F04")
     reason = str(error) if isinstance(error, SplBatchError) else one_line(error)

@@ -1,6 +1,6 @@
 """The verb ``init``: a first workflow for a folder of files, whatever their receiver.
 
-What files tell is written, what they do not is a comment that asks for it.
+What files show is written, what they do not is a comment that asks for it.
 """
 
 import json
@@ -31,7 +31,7 @@ class Beginning:
     """A first workflow, and what it rests on."""
 
     lines: list[str] = field(default_factory=list)
-    #: Key and what was seen; key and what files do not tell.
+    #: Key and what was seen; key and what files leave open.
     found: list[tuple[str, str]] = field(default_factory=list)
     unknown: list[tuple[str, str]] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)  #: Files that it does not name, and why.

@@ -5,7 +5,7 @@ What methods have in common is done once, in the store of ``OUTPUT`` itself (or 
 run), and linked into theirs. Receipts decide what is left to do: a comparison that was stopped goes
 on where it was, and one more method costs that method alone.
 
-What methods there are, and what is said of them, is each receiver's own: it fills in
+What methods there are, and how they are described, is each receiver's own: it fills in
 :class:`Methods`.
 """
 
@@ -49,7 +49,7 @@ class Methods:
     #: method can use what is finished.
     share: Callable[[Any, str], Collection[str]]
     #: Of the output folder and reports by method: writes ``compare.html`` and ``compare.json`` and
-    #: returns what they say, with ``methods``.
+    #: returns their figures, with ``methods``.
     write: Callable[[Path, Mapping[str, Any]], Any]
     row: Callable[[Any, Any], tuple[str, ...]]  #: Of that and a method: what the console shows.
     titles: tuple[str, ...]  #: Heads of the console's columns.

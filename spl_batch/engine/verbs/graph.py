@@ -83,9 +83,9 @@ class Worklist:
 
         None where something is missing that it cannot be done without.
         """
-        shelves = {step: self._ledger.of(step) for step, _ in task.needs}
-        found = {need: shelves[need[0]].digest(need[1]) for need in task.needs
-                 if need[1] in shelves[need[0]]}  # fmt: skip
+        finished = {step: self._ledger.of(step) for step, _ in task.needs}
+        found = {need: finished[need[0]].digest(need[1]) for need in task.needs
+                 if need[1] in finished[need[0]]}  # fmt: skip
         open_ = [need for need in task.needs if need not in found and not self._is_over(need[0])]
         if open_:
             return Job(task, "", tuple(open_), found)
@@ -146,7 +146,7 @@ class Graph:
             progress.found(step.stage, receipt)
         if work.left or work.ready:
             event = PhaseStarted(step.stage, step.name, work.left, work.ready, work.points)
-            progress.tell(event)
+            progress.notify(event)
         work.advance()
         self._open[step.name] = work
 
@@ -155,7 +155,7 @@ class Graph:
         if not found:
             one.missing.add(task.name)
         stage = one.step.stage
-        self.progress.tell(TaskSettled(stage, task.kind, task.name, task.points, found))
+        self.progress.notify(TaskSettled(stage, task.kind, task.name, task.points, found))
 
     def _hand_out(self) -> bool:
         """Hand out a batch of tasks, of the latest step that can; whether there was one."""

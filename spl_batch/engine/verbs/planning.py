@@ -18,7 +18,7 @@ from spl_batch.engine.settings.workflow_file import load_any
 from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.verbs.output_owner import usable
 from spl_batch.engine.verbs.receiver import Prepared, Receiver
-from spl_batch.errors import WorkflowError, grouped, refuse_without, storage, told_together
+from spl_batch.errors import WorkflowError, grouped, merged_faults, refuse_without, storage
 from spl_batch.formats.files.atomic import names_in, real_path
 from spl_batch.receivers import receiver
 
@@ -104,7 +104,7 @@ def plan(
         prepared.ledger.memory_bytes,
         prepared.ledger.shared,
         tuple(prepared.receiver.plan_rows(prepared, cost)),
-        (*told_together(inputs.bad), *look.faults, *look.late),
+        (*merged_faults(inputs.bad), *look.faults, *look.late),
         reported(findings, ignored, notes=True, units=units),
         finished,
         len(inputs.bad) + look.unreadable,
@@ -163,7 +163,7 @@ def prepare(
         )
         ledger.remarks = (Finding("E01", {"kind": "memory", "what": text}),)
     if not inputs.sources:
-        raise WorkflowError("no input is usable: " + "; ".join(told_together(inputs.bad)))
+        raise WorkflowError("no input is usable: " + "; ".join(merged_faults(inputs.bad)))
     context.store.root  # noqa: B018 - a store that cannot be used is a fault found here
     return Prepared(found, ledger, context)
 

@@ -76,7 +76,7 @@ class Progress:
         self.names = {str(source.key): source.name for source in sources}
         end_last_line(self.prepared.context.output / "log.jsonl")
 
-    def tell(self, event: Event) -> None:
+    def notify(self, event: Event) -> None:
         """Pass an event on, to the log as well."""
         with self.lock:  # workers report their beginnings in another thread
             if isinstance(event, WorkersReady) and self.reports and find_spec("matplotlib"):
@@ -93,7 +93,7 @@ class Progress:
 
     def note(self, text: str, level: str = "info") -> None:
         """Pass on something that a user should read."""
-        self.tell(Note(level, text))
+        self.notify(Note(level, text))
 
     def warn(self, findings: Iterable[Finding]) -> None:
         """Report what was found, alike ones together, once."""
@@ -139,7 +139,7 @@ class Progress:
         task has met.
         """
         store = self.prepared.context.store
-        reasons = self.damaged | {error.path: error.told for error in found}
+        reasons = self.damaged | {error.path: error.fault for error in found}
         names = map(store.name_of, reasons)
         again = forget_makers(store, self.prepared.steps, names, self.repaired)
         if not again and not self.begins_again:
@@ -166,7 +166,7 @@ class Progress:
             self.failures.append((task, receipt))
         if "damaged" in receipt.facts:
             self.damaged[receipt.facts["damaged"]] = receipt.reason
-        self.tell(
+        self.notify(
             TaskEnded(
                 stage,
                 task.kind,
@@ -184,7 +184,7 @@ class Progress:
     def started(self, task: Task, worker: str) -> None:
         """Report a task that a worker has begun."""
         stage, called = self.prepared.steps[task.kind].stage, plain_name(task, self.names)
-        self.tell(TaskStarted(stage, task.kind, task.name, worker, called))
+        self.notify(TaskStarted(stage, task.kind, task.name, worker, called))
 
 
 def end_last_line(log: Path) -> None:

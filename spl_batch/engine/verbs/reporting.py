@@ -8,7 +8,7 @@ from spl_batch.engine.settings.mistaken_file import refuse_no_output
 from spl_batch.engine.settings.workflow_file import parse_any
 from spl_batch.engine.store.working_store import Store, read_receipt
 from spl_batch.engine.tasks.context import RunContext
-from spl_batch.engine.tasks.ledger import Shelf
+from spl_batch.engine.tasks.ledger import StepReceipts
 from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.verbs.progress import forget_makers
 from spl_batch.engine.verbs.receiver import Receiver
@@ -53,7 +53,7 @@ def report(output: Path | str) -> RunResult:
     return result_of(receiver(kind), context.output, written)
 
 
-def recalled(folder: Path) -> tuple[dict[str, Shelf], Any, RunFacts]:
+def recalled(folder: Path) -> tuple[dict[str, StepReceipts], Any, RunFacts]:
     """What the last run of an output folder did: finished tasks, context, facts.
 
     Raises
@@ -72,7 +72,7 @@ def recalled(folder: Path) -> tuple[dict[str, Shelf], Any, RunFacts]:
         raise _of_another_version(folder, kept["code"])
     facts = FACTS.validate_python(kept["facts"])
     store, declared = context.store, steps(workflow.kind)
-    done = {step: Shelf(declared[step]) for step in kept["done"]}
+    done = {step: StepReceipts(declared[step]) for step in kept["done"]}
     for kind, name in ((kind, name) for kind, names in kept["done"].items() for name in names):
         receipt = read_receipt(store, kind, name)
         if receipt is None:

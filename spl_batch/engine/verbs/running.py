@@ -33,9 +33,9 @@ from spl_batch.errors import (
     SplBatchError,
     StoppedError,
     WorkflowError,
+    merged_faults,
     refuse_without,
-    told_by_system,
-    told_together,
+    system_fault,
 )
 from spl_batch.formats.files.atomic import json_digest, remove, stop_if_full
 from spl_batch.receivers import report_model, summariser
@@ -121,14 +121,14 @@ def run(
             context.store.clear()
         deliveries.begin()
         progress = Progress(prepared, workers, deliveries, listener, reports)
-        progress.tell(_started(prepared, workflow, workers, cost))
+        progress.notify(_started(prepared, workflow, workers, cost))
         with _logging_the_end(progress), _stopped_by_system():
             if stopped:
                 progress.tidy()
             if new and not output.is_relative_to(context.base):  # a slip would show
                 progress.note(f"created folder {output}")
             progress.warn((*prepared.ledger.remarks, *gone, *prepared.ledger.inputs.warnings))
-            for text in (*told_together(prepared.ledger.inputs.bad), *look.late):
+            for text in (*merged_faults(prepared.ledger.inputs.bad), *look.late):
                 progress.note(text, "error")
             warm_up = prepared.receiver.warm_up(context.workflow, until, workers)
             if new and warm_up and not workers and scheduler is None:
@@ -152,7 +152,7 @@ def run(
                 progress.withdraw(steps)
                 compile_s = warm_up.waited_s if warm_up else None
                 result = _concluded(progress, start, compile_s, reports=reports)
-        progress.tell(RunEnded(result.exit_status))
+        progress.notify(RunEnded(result.exit_status))
     return result
 
 
@@ -173,7 +173,7 @@ def _logging_the_end(progress: Progress) -> Iterator[None]:
     except (SplBatchError, KeyboardInterrupt) as error:
         status = error.exit_status if isinstance(error, SplBatchError) else 3
         try:
-            progress.tell(RunEnded(status, str(error) or "interrupted"))
+            progress.notify(RunEnded(status, str(error) or "interrupted"))
         except StoppedError as unwritten:
             raise error from unwritten
         raise
@@ -188,7 +188,7 @@ def _stopped_by_system() -> Iterator[None]:
         raise
     except OSError as error:
         stop_if_full(error, error.filename or "output")
-        text = told_by_system(error, "mend that, and run again to continue")
+        text = system_fault(error, "mend that, and run again to continue")
         raise StoppedError(text) from error
 
 
@@ -231,7 +231,7 @@ def _concluded(
         receiver.not_read(ledger),
         compile_s,
     )
-    progress.tell(ReportStarted())
+    progress.notify(ReportStarted())
     try:
         summarise = summariser(prepared.context.workflow.kind)
         written = summarise(ledger.done, prepared.context, facts)

@@ -34,7 +34,7 @@ def scene_of(model: type[M], path: Path) -> M:
 
 
 def finished(out: Path, workflow: Mapping[str, Any], counts: Mapping[str, int]) -> Simulated:
-    """Write the workflow of what was made, and say how many there are of what [count]."""
+    """Write the workflow of what was made, and count what there is of each kind [count]."""
     path = out / "workflow.yaml"
     write_bytes(path, yaml.safe_dump(dict(workflow), sort_keys=False).encode())
     return Simulated(path, [(name, grouped(count)) for name, count in counts.items()])
@@ -43,7 +43,7 @@ def finished(out: Path, workflow: Mapping[str, Any], counts: Mapping[str, int]) 
 def simulate(
     scene: Path | str, output: Path | str, *, progress: Callable[[float], None] | None = None
 ) -> Any:
-    """Make synthetic data with truth: fly a survey, say.
+    """Make synthetic data with truth: fly a survey, for instance.
 
     Parameters
     ----------

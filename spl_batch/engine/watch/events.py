@@ -106,7 +106,7 @@ class ReportStarted:
 
 @dataclass(frozen=True, slots=True)
 class RunEnded:
-    """A run ends in order; one that was killed does not say so."""
+    """A run ends in order; one that was killed leaves no such event."""
 
     exit_status: int  #: That of the command line.
     reason: str = ""  #: Why it stopped before its end; empty when it did not.

@@ -1,7 +1,7 @@
 """Files that are whole or not there: temporary name, rename; fsync of what is delivered.
 
-A file of the working store does not wait for the disk: after a loss of power it tells that it is
-not what was written, and is made again.
+A file of the working store does not wait for the disk: after a loss of power its checksum
+shows that it is not what was written, and it is made again.
 """
 
 import errno

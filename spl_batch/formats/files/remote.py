@@ -58,7 +58,7 @@ def is_remote(path: Path) -> bool:
 
 @contextmanager
 def reaching(path: Path) -> Iterator[None]:
-    """Let "not found" through, and stop the run for anything else that a store may say."""
+    """Let "not found" through, and stop the run for any other error of a store."""
     try:
         yield
     except (FileNotFoundError, StoppedError):

@@ -1,7 +1,7 @@
 """Points that a file holds beyond those that its header counts: none may be passed over.
 
-A writer that was stopped has not told its header how many points there are, and a damaged header
-tells too few. What lies behind the counted points then says so.
+The header of a writer that was stopped has no count of the points, and a damaged header counts
+too few. What lies behind the counted points then shows it.
 """
 
 from typing import BinaryIO, Final
@@ -21,7 +21,7 @@ _WAVEFORMS_AT: Final = 227
 
 
 def miscounted(header: LasHeader, there: str) -> InputError:
-    """Fault of a file with more points than its header counts; ``there`` says what there is."""
+    """Fault of a file with more points than its header counts; ``there`` names what there is."""
     return InputError(
         str(header.path),
         f"its header counts {grouped(header.n_points)} points, but {there}: the number of points is"
@@ -67,7 +67,7 @@ def chunk_table_byte(header: LasHeader, file: BinaryIO) -> int:
 def refuse_uncounted_rest(header: LasHeader, laszip: bytes, packed: bytes, count: int) -> None:
     """Refuse a LAZ file of point formats 0-5 whose last chunk has more points than are counted.
 
-    Such a chunk does not say how many it holds. But its last point takes its last bytes: where the
+    Such a chunk has no count of what it holds. But its last point takes its last bytes: where the
     ``count`` points that the header leaves for it do without them, these are of others. What takes
     no more than :data:`_REST_BYTES`, mostly one point, may pass.
     """

@@ -13,7 +13,7 @@ from laspy.vlrs.known import BaseKnownVLR
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
-from spl_batch.errors import brief, is_fault, one_line, plain
+from spl_batch.errors import is_fault, one_line, plain, shortened
 from spl_batch.formats.crs import (
     LIBLAS_KEY,
     WKT_KEY,
@@ -51,7 +51,7 @@ _PARSED_BYTES: Final = 1 << 20
 """Longest record that is parsed [byte]: known ones are short, longer ones are copied."""
 
 _CRS_TEXT_MAX: Final = 150
-"""Characters that are told of a CRS that is not understood [count]."""
+"""Characters that are quoted of a CRS that is not understood [count]."""
 
 _SAME_PLACE_M: Final = 10.0
 """Two CRS contradict each other where the same coordinates lie farther apart [m]; how they name a
@@ -69,7 +69,7 @@ def header_crs(header: LasHeader) -> tuple[CRS | None, tuple[str, ...]]:
         names, bit = [crs_name(crs) for crs in rivals], _keys_count(header)
         apart = differences(*rivals)
         text = (
-            f"its WKT record says {names[0]}, its GeoTIFF keys {names[1]}"
+            f"its WKT record names {names[0]}, its GeoTIFF keys {names[1]}"
             f"{f' ({apart})' if apart else ''}: the "
             f"{'keys count' if bit else 'record counts'}, by the header's WKT bit and point format;"
             " correct the file if that is wrong"
@@ -80,7 +80,7 @@ def header_crs(header: LasHeader) -> tuple[CRS | None, tuple[str, ...]]:
         odd = contradicted_unit(_keys(header)[0])
         return known or _liblas_crs(header), (odd,) if odd else ()
     except CRSError as error:
-        reason = brief(plain(" ".join(str(error).split())), _CRS_TEXT_MAX)
+        reason = shortened(plain(" ".join(str(error).split())), _CRS_TEXT_MAX)
         return None, (f"the CRS record is not understood ({reason}): name the CRS in survey.crs",)
 
 

@@ -2,7 +2,7 @@
 
 Coordinates become integers on the survey lattice. That is exact integer arithmetic where scale and
 offset are whole multiples of the quantum; elsewhere they are rounded to the nearest quantum, and a
-warning says so.
+warning reports it.
 """
 
 from collections.abc import Callable, Iterator
@@ -40,7 +40,7 @@ _OFFSET_TOLERANCE: Final = 1e-6
 
 @dataclass(frozen=True)
 class LasFacts:
-    """What a LAS file says about itself; its points are not read."""
+    """A LAS file by its header; its points are not read."""
 
     path: Path
     size_bytes: int
@@ -54,7 +54,7 @@ class LasFacts:
     mins_m: tuple[float, float, float]
     maxs_m: tuple[float, float, float]
     crs: CRS | None  #: From the WKT record or from GeoTIFF keys.
-    #: What the header says about ``gps_time``; not always true of the values.
+    #: Meaning of ``gps_time`` by the header; not always true of the values.
     adjusted_standard_bit: bool
     has_gps_time: bool
     dimensions: tuple[str, ...]  #: Names that ``channel_dimension`` may take.
@@ -114,7 +114,7 @@ def inspect(path: Path) -> LasFacts:
 
 
 def is_delivered(path: Path) -> bool:
-    """Whether a file is a copy with labels that a run has made: its extra bytes say so."""
+    """Whether a file is a copy with labels that a run has made, by its extra bytes."""
     described = {one.descriptor for one in record_layout(read_header(path)).extra}
     return described >= {added(name).descriptor for name in (FIRST_CLASS, "noise_class")}
 
@@ -210,7 +210,7 @@ _CHANNEL_MAX: Final = 255
 """Largest number of a beamlet."""
 
 _FREE: Final = ("user_data", "intensity")
-"""Standard dimensions that deliveries use for beamlet numbers; others mean what LAS says."""
+"""Standard dimensions that deliveries use for beamlet numbers; others mean what LAS states."""
 
 
 class Numbers(NamedTuple):

@@ -51,7 +51,7 @@ class ExtraDimension:
     name: str
     field: str  #: Name of the field in the record's dtype; differs from every standard one.
     dtype: np.dtype[Any]
-    #: Value = raw scale + offset, where the descriptor says so.
+    #: Value = raw scale + offset, where the descriptor asks for it.
     scale: float | None
     offset: float | None
     descriptor: bytes  #: The 192 bytes that describe it.

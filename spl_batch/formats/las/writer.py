@@ -300,7 +300,7 @@ def write_points(
     copc : bool
         Write an octree (COPC) instead of plain LAZ; this changes the points' order.
     aggregate : bool
-        Points are of an aggregate model, none of a pulse's returns: the header says that return
+        Points are of an aggregate model, none of a pulse's returns: the header states that return
         numbers are synthetic, and each point is the only one.
     aggregate_bit : bool
         Set :data:`AGGREGATE_BIT` as well.

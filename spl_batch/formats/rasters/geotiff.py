@@ -253,7 +253,7 @@ def _copy_as_cog(plain: Path, cog: Path) -> None:
 
 
 def _stopped(path: Path, shape: tuple[int, int], error: Exception) -> StoppedError:
-    """GDAL tells a full disk only in prose, so the free space is looked at."""
+    """GDAL reports a full disk only in prose, so the free space is looked at."""
     needed = 2 * 4 * shape[0] * shape[1]
     if shutil.disk_usage(path.parent).free < needed:
         return StoppedError(f"{path}: disk full; free {needed // 10**6 + 1} MB and run again")

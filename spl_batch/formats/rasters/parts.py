@@ -1,6 +1,6 @@
 """Parts and overviews of delivered rasters in metres, for statistics and pictures.
 
-A file says itself what its units are: by its CRS those of its cells, by its band those of values.
+A file states itself what its units are: by its CRS those of its cells, by its band those of values.
 """
 
 import math

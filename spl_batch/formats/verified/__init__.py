@@ -1,1 +1,1 @@
-"""Tables and arrays that tell when a byte of them is damaged."""
+"""Tables and arrays in which a damaged byte is noticed."""

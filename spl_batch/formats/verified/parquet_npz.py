@@ -1,4 +1,4 @@
-"""Point tables as Parquet, and small arrays as NPZ; both tell when a byte of them is damaged.
+"""Point tables as Parquet, and small arrays as NPZ; a damaged byte of either is noticed.
 
 Numbers are stored byte by byte (byte-stream split): neighbouring points share their high bytes,
 which then cost next to nothing. Parquet has no numbers of one byte; its substitutes are written
@@ -6,7 +6,7 @@ twice as fast this way as with a dictionary. A dictionary is for long numbers th
 what is mostly zero is stored as it is. Over all goes LZ4, which writes and reads twice as fast as
 zstd, to files as large.
 
-Parquet has checksums for pages but none for its footer, which says where they are and what lies in
+Parquet has checksums for pages but none for its footer, which has where they are and what lies in
 them. So one is put before the footer, where the format leaves bytes unread: any reader of Parquet
 still reads the file. An NPZ carries a hash of itself as the comment of the archive.
 """

@@ -39,7 +39,7 @@ Content = dict[str, bytes]
 def pack(values: NDArray[Any], *, chunks: Sequence[int], attributes: Mapping[str, Any]) -> Content:
     """A whole array as files of Zarr's third version, metadata and each of its chunks among them.
 
-    One of nothing but zeros is a chunk too: else who reads cannot tell it from one that is gone.
+    One of nothing but zeros is a chunk too: else a reader takes it for one that is gone.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def read_box(array: Path, metadata: Metadata, box: Sequence[slice]) -> NDArray[A
     Raises
     ------
     DamagedError
-        If a chunk is missing or damaged; names the chunk where it can be told.
+        If a chunk is missing or damaged; names the chunk where it is known.
     """
     found = np.zeros([b.stop - b.start for b in box], np.dtype(metadata["data_type"]))
     for piece in _pieces(metadata["chunk_grid"]["configuration"]["chunk_shape"], box):

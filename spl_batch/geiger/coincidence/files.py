@@ -70,7 +70,7 @@ def inspect(path: Path, columns: Collection[str]) -> int:
 
 
 def extents(path: Path) -> tuple[Extent, ...] | None:
-    """Where the rows of each row group of a checked file lie; None if its footer does not tell.
+    """Where the rows of each row group of a checked file lie; None if its footer lacks them.
 
     A row of each group is read first: with a damaged footer that raises, while a look at its
     statistics ends the whole process.

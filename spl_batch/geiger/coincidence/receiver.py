@@ -49,7 +49,7 @@ class L1File:
     rows: int  #: Frames or detections in it [count].
     #: Its size [byte] and time of writing [ns since 1970] when it was looked at.
     written: tuple[int, int]
-    #: Of each row group west, south, east, north [m] and its rows, where the footer tells them.
+    #: Of each row group west, south, east, north [m] and its rows, where the footer has them.
     extents: tuple[files.Extent, ...] | None = None
 
     @property
@@ -244,7 +244,7 @@ class Coincidence(Receiver[L1Ledger, CoincidenceContext]):
         )
 
     def plan_rows(self, prepared: Run, cost: Cost) -> list[tuple[str, str]]:  # noqa: ARG002 - all have it
-        """Label and value of what a plan tells beside disk, memory and time."""
+        """Label and value of what a plan prints beside disk, memory and time."""
         workflow = prepared.context.workflow
         frames = sum(file.rows for file in prepared.ledger.inputs.frames)
         return [
@@ -286,7 +286,7 @@ def _look(kind: type[Table], path: Path, name: str, key: int) -> L1File | None:
 def _tiles(ledger: L1Ledger) -> tuple[int, float]:
     """Number of tiles, and detections of the frames that look at the fullest of them.
 
-    As if each row group spread its rows evenly over its extent; where a file's footer tells no
+    As if each row group spread its rows evenly over its extent; where a file's footer has no
     extents, all its rows count to every tile.
     """
     array, tile_q = ledger.workflow.array, ledger.workflow.tile_q

@@ -1,4 +1,4 @@
-"""Sections of a workflow of ``kind: coincidence``; what [M20] leaves open is ours and says so."""
+"""Sections of a workflow of ``kind: coincidence``; what [M20] leaves open is marked as ours."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -72,7 +72,7 @@ class BridgeSignSettings(Section):
         None,
         description="Least value of the polynomial at a point: detections for each look that "
         "interrogates the voxel [1/1]; 0.01 by default, and 0.06 as published, where nothing else "
-        "tells surfaces from blur; ours.",
+        "separates surfaces from blur; ours.",
     )
     edge_rule: bool = Field(
         True,

@@ -120,7 +120,7 @@ def _sight_findings(
     number = int(part.frame[len(part) // 2])
     near = [files.stored_frames(path, frame=(number, number)) for path in looks]
     frames = Frames.joined(near).in_order()
-    # Those of 32 frames on either side tell enough.
+    # Those of 32 frames on either side are enough.
     frames = frames.take(np.abs(frames.number - number) <= 32)
     off = coincide.sight_error(frames, part, context.workflow.array)
     if off >= 2.0:  # fields of view between a detection and its line of sight

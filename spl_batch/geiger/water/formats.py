@@ -2,7 +2,7 @@
 
 ``frames`` is (n, rows, cols), whole numbers >= 0: the time bin of the only hit of a pixel in a
 frame, 0 for none. A group ``truth`` may lie beside it, for each acquisition of as many frames as
-its attribute ``frames_per_acquisition`` says: ``down_m`` (a, rows, cols) and ``normals``
+its attribute ``frames_per_acquisition`` states: ``down_m`` (a, rows, cols) and ``normals``
 (a, rows, cols, 3). What is declared is checked before a value is read.
 
 Frames are read in pieces of a bounded number of values, whole chunks at a time. A chunk is

@@ -153,7 +153,7 @@ HITS_MIN = 5
 """Fewest hits of a pixel that takes part in a fit [count]."""
 
 BRIGHTEST = 0.97
-"""Intensity above which the number of photons cannot be told [G15 3.4.4]."""
+"""Intensity above which the number of photons cannot be estimated [G15 3.4.4]."""
 
 
 @dataclass(frozen=True, slots=True)

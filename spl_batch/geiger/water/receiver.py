@@ -232,7 +232,7 @@ class Water(Receiver[WaterLedger, WaterContext]):
         )
 
     def plan_rows(self, prepared: Run, cost: Cost) -> list[tuple[str, str]]:  # noqa: ARG002 - all have it
-        """Label and value of what a plan tells beside disk, memory and time."""
+        """Label and value of what a plan prints beside disk, memory and time."""
         ledger = prepared.ledger
         surfaces = sum(s.facts.frames // ledger.per for s in ledger.inputs.sources)
         targets = len(ledger.inputs.targets)

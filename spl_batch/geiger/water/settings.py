@@ -117,7 +117,7 @@ class WindowedSettings(Section):
 
 
 class AdaptiveSettings(Section):
-    """Weighted planes whose windows grow as long as what they say agrees."""
+    """Weighted planes whose windows grow as long as their results agree."""
 
     half_windows: tuple[int, ...] = Field(
         (1, 2, 3, 4, 6, 8, 11, 15, 20, 31),

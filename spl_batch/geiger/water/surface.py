@@ -190,7 +190,7 @@ def _products(
 class Surface:
     """A surface in the local frame: north, east, down."""
 
-    #: (rows, cols): of each pixel, before any smoothing [m]; NaN where it tells nothing.
+    #: (rows, cols): of each pixel, before any smoothing [m]; NaN where it gives none.
     range_m: Floats
     intensity: Floats  #: (rows, cols): share of frames with a hit.
     places_m: Floats  #: (rows, cols, 3): on the surface [m]; NaN where it is not known.
@@ -205,7 +205,7 @@ def ranges(
     camera: CameraSettings,
     pixels: PixelSettings,
 ) -> Floats:
-    """Range of each pixel that tells one: (rows, cols) float64 [m], NaN elsewhere."""
+    """Range of each pixel that has one: (rows, cols) float64 [m], NaN elsewhere."""
     bright = ~dead & (hits.intensity >= pixels.intensity_min) & (hits.hits > 0)
     measured = np.where(bright, hits.mean_bin() * camera.bin_ns, np.nan)
     return calibration.ranges(measured, hits.intensity)

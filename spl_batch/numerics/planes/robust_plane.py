@@ -16,7 +16,7 @@ GAUSSIAN = 0.6745
 
 FLATTEST = 1e-4
 """Least determinant over the squared trace: a spread across the narrow direction below about 1 %
-of the wide one tells no slope."""
+of the wide one shows no slope."""
 
 
 @njit()

@@ -74,7 +74,7 @@ def network_for(size: int) -> int:
 
 @njit()
 def two_in_the_middle(values, size):  # type: ignore[no-untyped-def]
-    """The two of as many values as :func:`network_for` tells that stand in the middle, by lane."""
+    """The two in the middle of as many values as :func:`network_for` sorts, by lane."""
     if size <= 16:
         return _of_8(values, U0) if size == 8 else _of_16(values, U0)
     if size <= 32:

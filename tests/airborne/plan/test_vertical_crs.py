@@ -144,7 +144,7 @@ def test_without_any_crs_a_remedy_for_feet_is_named(tmp_path: Path) -> None:
 
 
 def test_a_named_datum_contradicts_no_file(tmp_path: Path) -> None:
-    with pytest.raises(WorkflowError, match="vertical_crs: the files say 'NAVD88 height'"):
+    with pytest.raises(WorkflowError, match="vertical_crs: the files state 'NAVD88 height'"):
         gathered(tmp_path, [NAVD88], vertical_crs="EPSG:5773")
 
 

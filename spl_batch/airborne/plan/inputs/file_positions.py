@@ -1,4 +1,4 @@
-"""Whether the files of a survey lie where files of one survey can lie, as far as headers tell."""
+"""Whether the files of a survey lie where files of one survey can lie, as far as headers show."""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -231,17 +231,15 @@ def _gaps(boxes: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.
 
 def _parts(boxes: NDArray[np.float64], gap_m: float) -> list[list[int]]:
     """Places of the boxes that are joined over gaps of no more than this, part by part."""
-    left = set(range(len(boxes)))
+    left = np.arange(len(boxes))
     parts = []
-    while left:
-        front = [min(left)]
-        left.discard(front[0])
-        part = []
+    while len(left):
+        front, left, part = [int(left[0])], left[1:], list[int]()
         while front:
             k = front.pop()
             part.append(k)
-            near = set(np.flatnonzero(_gaps(boxes, boxes[k]) <= gap_m).tolist()) & left
-            left -= near
-            front += sorted(near)
+            near = _gaps(boxes[left], boxes[k]) <= gap_m
+            front += left[near].tolist()
+            left = left[~near]
         parts.append(sorted(part))
     return parts

@@ -14,7 +14,7 @@ from spl_batch.airborne.plan.inputs.file_positions import THINNEST
 from spl_batch.airborne.plan.survey_ledger import Survey, timeless_sources
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.errors import WorkflowError, counted, grouped, named, told_together
+from spl_batch.errors import WorkflowError, counted, grouped, merged_faults, named
 from spl_batch.formats.gps_clock import CLOCKS
 from spl_batch.formats.las.reader import Numbers
 
@@ -30,7 +30,7 @@ def judge_index(survey: Survey, failures: Iterable[Receipt]) -> Iterator[Finding
     """Stop where no input is usable; say which ones have no time."""
     usable = survey.of("index_file")
     if not usable or not any(r.points for r in usable.values()):
-        reasons = [*told_together(survey.inputs.bad), *(r.reason for r in failures)]
+        reasons = [*merged_faults(survey.inputs.bad), *(r.reason for r in failures)]
         raise WorkflowError("no input is usable: " + ("; ".join(reasons) or "they hold no points"))
     unused = [r for r in usable.values() if r.points and r.facts["excluded"] == r.points]
     if sum(r.points for r in unused) == sum(r.points for r in usable.values()):

@@ -20,8 +20,8 @@ from spl_batch.errors import (
     InputError,
     WorkflowError,
     as_input_fault,
+    merged_faults,
     named,
-    told_together,
 )
 from spl_batch.formats.checkpoints import Checkpoint
 from spl_batch.formats.crs import (
@@ -80,7 +80,7 @@ def checked_reference(
 
     good, elsewhere = usable(known, fault)
     if elsewhere and not good:
-        faults = (f"reference.points: {text}" for text in told_together([*damaged, *elsewhere]))
+        faults = (f"reference.points: {text}" for text in merged_faults([*damaged, *elsewhere]))
         raise WorkflowError("; ".join(faults))
     in_metres = (facts.in_metres(Units.of(crs)) for facts in good)
     return ReferenceFiles(tuple(in_metres), (*damaged, *elsewhere))

@@ -53,9 +53,9 @@ from spl_batch.engine.settings.mistaken_file import url_fault
 from spl_batch.errors import (
     InputError,
     WorkflowError,
+    merged_faults,
     named,
     shared,
-    told_together,
 )
 from spl_batch.formats.geoid import Geoid
 from spl_batch.formats.heights import with_vertical
@@ -229,7 +229,7 @@ def _unusable(
         if unnamed and (text := in_other_unit(first, crs, survey)):
             elsewhere.append(InputError(str(path), text))
     if trajectory and len(faults) + len(elsewhere) == len(trajectory):
-        raise WorkflowError(f"survey.trajectory: {'; '.join(told_together([*faults, *elsewhere]))}")
+        raise WorkflowError(f"survey.trajectory: {'; '.join(merged_faults([*faults, *elsewhere]))}")
     return tuple(faults)
 
 

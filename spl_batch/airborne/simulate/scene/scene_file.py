@@ -237,7 +237,7 @@ class Acquisition(Section):
 
 
 class LagTail(Section):
-    """Afterpulses that come later than an exponential law says."""
+    """Afterpulses that come later than by an exponential law."""
 
     share: Share = Field(0.4, description="Part of the afterpulses whose lag follows the tail.")
     scale_m: Positive = Field(4.0, description="Scale of the tail behind the dead time [m].")
@@ -250,7 +250,7 @@ class LagTail(Section):
 
 
 class Detector(Section):
-    """What the detector really does, where that is not what the workflow's sensor says."""
+    """What the detector really does, where it differs from the workflow's sensor."""
 
     afterpulse_probability: float | None = Field(
         None, ge=0, lt=1, description="Afterpulses per detection; the sensor's without."
@@ -282,7 +282,7 @@ class Delivery(Section):
         description="Edge of the tiles that files hold; without it a file is a flightline [m].",
     )
     point_source_id: bool = Field(
-        True, description="Whether points tell their flightline; 0 in all files if not."
+        True, description="Whether points name their flightline; 0 in all files if not."
     )
     channel_dimension: Literal["channel", "user_data"] = Field(
         "channel", description="LAS dimension with the beamlet, from 1."

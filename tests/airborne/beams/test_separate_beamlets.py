@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from spl_batch.airborne.afterpulse import candidates
 from spl_batch.airborne.beams import geometry
-from spl_batch.airborne.beams.told_apart import number_beamlets, told_apart
+from spl_batch.airborne.beams.separate_beamlets import number_beamlets, separate_beamlets
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.airborne.settings import AfterpulseSettings
 from tests.airborne.afterpulse.test_candidates import level, shots
@@ -50,7 +50,7 @@ def test_what_is_found_is_what_channels_tell(late_s: float) -> None:
         # Times of the trajectory that are off turn all lines of sight alike.
         turn = np.array([1.7e-4 * late_s / 2e-2, 0.0, 0.0])
         beams = replace(beams, direction=beams.direction + turn)
-    numbered, order = told_apart(plain, beams, SENSOR)
+    numbered, order = separate_beamlets(plain, beams, SENSOR)
     pairs = set(zip(table["gps_time"], table["channel"], strict=True))
     again = set(zip(numbered["gps_time"], numbered["channel"], strict=True))
     assert len(pairs) == len(again)
@@ -67,7 +67,7 @@ def test_returns_without_a_beam_are_of_none() -> None:
     table, track, _ = shots(level, number=3)
     beams = geometry.beams(table, track)
     beams.known[::5] = False
-    numbered, order = told_apart(table, beams, SENSOR)
+    numbered, order = separate_beamlets(table, beams, SENSOR)
     assert ((numbered["channel"] == 0) == ~beams.known[order]).all()
     assert sorted(order) == list(range(len(table)))
     assert (np.diff(numbered["gps_time"]) >= 0).all()

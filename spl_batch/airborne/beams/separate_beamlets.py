@@ -1,8 +1,8 @@
-"""Beamlets of a shot told apart by where they point, where files do not number them.
+"""Beamlets of a shot separated by where they point, where files do not number them.
 
 Domain: time. Returns of one beamlet lie on one line of sight; the next line is a pitch away. So
 returns whose directions differ by less than a part of the pitch are of one beamlet. A number is
-another beamlet in the next shot, so neither gains nor dead channels can be told.
+another beamlet in the next shot, so neither gains nor dead channels can be estimated.
 """
 
 from typing import Final
@@ -24,7 +24,7 @@ def number_beamlets(
     """Number the different directions of each shot from 1 on, in the order of its rows: (n,).
 
     Directions that differ by less than ``apart_rad`` are one; a return is of the nearest that came
-    before it; 255 are told apart. ``starts`` (s + 1,): rows where shots start, then n.
+    before it; 255 are distinguished. ``starts`` (s + 1,): rows where shots start, then n.
     """
     seen = np.empty((255, 3))
     for shot in range(len(starts) - 1):
@@ -48,7 +48,7 @@ SAME: Final = 0.25
 """Directions of one beamlet differ by less [pitches of the array]."""
 
 
-def told_apart(
+def separate_beamlets(
     table: PointTable, beams: BeamTable, sensor: Sensor
 ) -> tuple[PointTable, NDArray[np.intp]]:
     """Table with a beamlet's number in ``channel``, its rows in the order of these.
