@@ -28,11 +28,8 @@ from spl_batch.engine.tasks.task import Receipt
 RATIO: Final = 1.25
 SHARE: Final = 0.15
 """Times more, or less, noise than expected that a survey is warned of, and the part of the noise
-that it must concern; the model is within 1.03 in all strata that were simulated."""
-
-CELL_SHARE: Final = 0.3
-"""The same of a block, for which :data:`UNEVEN` is the factor: those of 100 m of a scene that fits
-had 0.71 to 1.16 times the noise."""
+that it must concern; the model is within 1.03 in all strata that were simulated. A block is warned
+of from :data:`UNEVEN` times on: those of 100 m of a scene that fits had 0.71 to 1.16."""
 
 BAND: Final = 4
 """Layers of cubes in a band: 20 m."""
@@ -65,7 +62,7 @@ def _layer_findings(blocks: Mapping[str, Receipt]) -> Iterator[Finding]:
         yield whole
         return
     for name, some in rows.items():
-        found = _worst_band(some, UNEVEN, CELL_SHARE)
+        found = _worst_band(some, UNEVEN, SHARE)
         if found is not None and sum(row[2] for row in some) >= LEAST:
             yield found._replace(subject=name, place=_place(blocks[name]))
 

@@ -47,9 +47,8 @@ KEPT_SHARE: Final = 2.0 * FilterSettings().alpha
 
 NOISE_QUANTILE: Final = 0.1
 NOISE_RETURNS: Final = 100
-NOISE_SHARE: Final = 0.5
-"""Wide boxes with so many returns tell the share of noise that is kept, by the tenth where least
-was kept. If that is more than half, few boxes hold noise alone, and nothing is known."""
+"""Wide boxes with so many returns, most of them refused, tell the share of noise that is kept, by
+the tenth where least was kept. Without any nothing is known."""
 
 
 class Box(NamedTuple):
@@ -222,9 +221,11 @@ def _kept_of_noise(kept: Count, gone: Count) -> float:
     ``kept, gone`` (n,): returns of the widest box around each cell that holds any [count].
     """
     held = kept + gone
-    told = held >= NOISE_RETURNS
-    share = float(np.quantile(kept[told] / held[told], NOISE_QUANTILE)) if told.any() else 1.0
-    return KEPT_SHARE if share > NOISE_SHARE else max(KEPT_SHARE, 2.0 * share / (1.0 - share))
+    told = (held >= NOISE_RETURNS) & (gone > kept)
+    if not told.any():
+        return KEPT_SHARE
+    share = float(np.quantile(kept[told] / held[told], NOISE_QUANTILE))
+    return max(KEPT_SHARE, 2.0 * share / (1.0 - share))
 
 
 def _bare_boxes(held: Sequence[tuple[Count, Count]], odds: float) -> NDArray[np.bool_]:

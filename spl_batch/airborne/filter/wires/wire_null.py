@@ -42,9 +42,6 @@ small against that."""
 COARSE: Final = DENSITIES[::10]
 """Noise densities that are drawn where no shipped table fits: too few to show ups and downs."""
 
-HEIGHT_M: Final = 120.0
-"""Height of the box of noise [m]."""
-
 MOST: Final = 0.5
 """Largest part of the filter's alpha that the scan gets."""
 
@@ -127,13 +124,13 @@ def draw_shares(
 
 
 def _share(rng: np.random.Generator, density: float, points: int, wires: WireSettings) -> float:
-    side = np.sqrt(points / density / HEIGHT_M)
+    side = np.cbrt(points / density)
     # A tube through a point, and what lies in one that agrees with it.
     around = min(2.0 * wires.half_length_m + BESIDE_M, side)
-    up = min(wires.slope_max * around + BESIDE_M, HEIGHT_M)
+    up = min(wires.slope_max * around + BESIDE_M, side)
     size, margin = (
         np.array([quanta(float(length)) for length in box])
-        for box in ((side, side, HEIGHT_M), (around, around, up))
+        for box in ((side, side, side), (around, around, up))
     )
     xyz, _, core = repeated(rng, density, size, margin)
     nothing = np.zeros(len(xyz), np.bool_)

@@ -51,9 +51,6 @@ from spl_batch.numerics.poisson import noise_tail_probability
 CELL_M: Final = 1.0
 """Cell of the density that tells a surface [m]; 27 of them are counted."""
 
-COLUMN_M: Final = 8.0
-"""Edge of the columns in which tubes are counted [m]; speed only."""
-
 CROWD: Final = 100.0
 """Noise points in the double cone of the first look from which on tubes get shorter [count]."""
 
@@ -72,9 +69,6 @@ LEAST_M: Final = 1.5
 INLINE: Final = 1.3
 ABREAST: Final = 0.6
 """Powers of ten that one agreeing tube is worth: in line, and beside."""
-
-REFINEMENTS: Final = 2
-"""Times that a line is laid through the returns of its tube [count]."""
 
 TURN_MAX: Final = 0.05
 """Largest difference of agreeing directions [rad, rise/run]."""
@@ -136,7 +130,7 @@ def scan(cloud: Cloud, settings: WireSettings) -> Found:
     p_value = np.full(n, np.nan, dtype=np.float32)
     free = np.flatnonzero(~_explained(cloud, settings))
     if settings.enabled and cloud.asked.any() and len(free):
-        made = columns(cloud.xyz, free, cloud.anchor, quanta(COLUMN_M))
+        made = columns(cloud.xyz, free, cloud.anchor, _first_look(settings))
         tubes = _tubes(cloud, made, free, settings)
         score = MEMBERS * _score(tubes, cloud.anchor, settings)
         strong = score <= settings.alpha
@@ -173,10 +167,10 @@ def _tubes(cloud: Cloud, made: Columns, free: NDArray[np.intp], settings: WireSe
         seed[row] = np.arange(len(row), dtype=np.int32)
         density = cloud.density[row]
         short_m = np.minimum(
-            settings.half_length_m / 1.5, np.cbrt(CROWD / (cone * np.maximum(density, 1e-9)))
+            settings.half_length_m / LOOKS[1], np.cbrt(CROWD / (cone * np.maximum(density, 1e-9)))
         )
         length = np.maximum(short_m, 2.0 * LEAST_M) * factor * QUANTA_PER_M
-        tried = _directions(settings, factor * settings.half_length_m / 1.5)
+        tried = _directions(settings, factor * settings.half_length_m / LOOKS[1])
         count = np.zeros(len(row), np.int32)
         azimuth, slope, expected = (np.zeros(len(row)) for _ in range(3))
         fullest(
@@ -198,8 +192,7 @@ def _refined(cloud: Cloud, made: Columns, tubes: Tubes, settings: WireSettings) 
     """Tubes with their lines laid through the returns inside."""
     tubes.middle[:] = cloud.xyz[tubes.row]
     flank = np.zeros(len(tubes.row), np.int32)
-    for _ in range(REFINEMENTS):
-        refine(made, tubes, settings.radius_m * QUANTA_PER_M, _bend(settings), flank)
+    refine(made, tubes, settings.radius_m * QUANTA_PER_M, _bend(settings), flank)
     return tubes._replace(p=np.where(flank > 0, 1.0, tubes.p))
 
 
@@ -210,7 +203,7 @@ def _score(
     inline, abreast, against = (np.zeros(len(tubes.row), np.int32) for _ in range(3))
     if len(tubes.row):
         places = np.rint(tubes.middle).astype(np.int32)
-        made = columns(places, np.arange(len(places)), anchor, quanta(COLUMN_M))
+        made = columns(places, np.arange(len(places)), anchor, _first_look(settings))
         agreeing(
             made, tubes, settings.stretch, settings.radius_m * QUANTA_PER_M, SPREAD,
             BESIDE_M * QUANTA_PER_M, ABOVE_M * QUANTA_PER_M, TURN_MAX, _bend(settings),
@@ -231,7 +224,7 @@ def _free(
     count, held = np.zeros((m, len(RINGS_M)), np.int32), np.zeros((m, PARTS), np.bool_)
     length = tubes.length[chosen]
     if m:
-        made = columns(cloud.xyz, np.arange(len(cloud.xyz)), cloud.anchor, quanta(COLUMN_M))
+        made = columns(cloud.xyz, np.arange(len(cloud.xyz)), cloud.anchor, _first_look(settings))
         rings = np.array(RINGS_M) * QUANTA_PER_M
         surroundings(made, tubes.take(chosen), rings, _bend(settings), count, held)
     area = (2.0 * np.array(RINGS_M)) ** 2
@@ -259,6 +252,11 @@ def _votes(
     radius = part * settings.radius_m * QUANTA_PER_M
     vote(made, tubes.take(chosen), radius, SPREAD, _bend(settings), votes)
     return votes
+
+
+def _first_look(settings: WireSettings) -> int:
+    """Half-length of a tube in the first look [quanta]; the edge of columns too, for speed only."""
+    return quanta(settings.half_length_m / LOOKS[1])
 
 
 def _bend(settings: WireSettings) -> float:
