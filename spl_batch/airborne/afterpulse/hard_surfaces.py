@@ -18,9 +18,6 @@ from spl_batch.numerics.simd import spread as everywhere
 STEP_M = 0.05
 """Steps in which a law is tabled [m]."""
 
-GROWN = 2
-"""How often a surface is fitted again to the candidates that lie on it [count]."""
-
 RETURNS_MIN = 6
 """Least returns of a surface [count]."""
 
@@ -170,9 +167,8 @@ def hard_surfaces(
         found.trusted[shot] &= found.spread[shot] <= spread_max[shot]
     chosen = _fullest(shots, w, candidate, found.trusted, 2.0 * rules.p68_max_m)
     grown = fit_surfaces(shots, chosen, u, v, w, rules)
-    for _ in range(GROWN):
-        chosen = _on_planes(shots, u, v, w, candidate, grown, rules)
-        grown = fit_surfaces(shots, chosen, u, v, w, rules)
+    chosen = _on_planes(shots, u, v, w, candidate, grown, rules)
+    grown = fit_surfaces(shots, chosen, u, v, w, rules)
     for shot in range(len(shots) - 1):
         rows = (shots[shot], shots[shot + 1])
         if (

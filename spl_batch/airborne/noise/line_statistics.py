@@ -35,15 +35,16 @@ SUPPORT: Final = 20
 """Returns that a rate, a spacing or the end of a gate is believed by: chance leaves an error of a
 fifth [count]."""
 
-LONE_MOST: Final = 2
-"""Returns of an interval that may be no end of the gate, however little noise there is [count]."""
-
 LONE_SPACINGS: Final = 12.0
-"""They lie farther beyond the next one than so many mean spacings of the noise on their side: fewer
-than six of a million ends of uniform noise do [count]."""
+"""What is no end of a gate lies farther beyond the next return than so many mean spacings of the
+noise on its side: fewer than six of a million ends of uniform noise do [count]."""
 
 STRAY_SHARE: Final = 0.1
 """Share of the noise on a side of the signal that may lie beyond the gate."""
+
+LONE_MOST: Final = int(STRAY_SHARE * SUPPORT)
+"""That share of the least noise that shows its spacing: so many returns of an interval may be no
+end of the gate, however little noise there is [count]."""
 
 _BY_INTERVAL: Final = (
     "interval", "summary", "outside", "blinded", "returns", "beamlets", "shots", "first", "last",

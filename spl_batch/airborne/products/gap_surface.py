@@ -42,8 +42,8 @@ _RIM = 2
 _STIFFNESS = 1.0
 """Of plates, in blocks: they smooth over about half a block."""
 
-_ENOUGH = 8
-"""Blocks that a plate is fitted to, at least [count]."""
+ENOUGH = 6
+"""Places with ground that a plate, or the plane of a ring, is fitted to, at least [count]."""
 
 _CELLS = 2.0
 """Cells with ground in a block, on the average; in sparser clouds gaps are everywhere [count]."""
@@ -131,7 +131,7 @@ def _add_plates(
     points, plate = np.empty(((2 * window) ** 2, 3)), np.empty((2 * window) ** 2 + 3)
     for k in range(len(nodes)):
         n = _rim_around(nodes[k], blocks, window, points)
-        if n < _ENOUGH or not fit_plate(points[:n], _STIFFNESS, plate[: n + 3]):
+        if n < ENOUGH or not fit_plate(points[:n], _STIFFNESS, plate[: n + 3]):
             continue
         low, high = points[0, 2], points[0, 2]
         for i in range(1, n):

@@ -78,7 +78,8 @@ NEAR_M: Final = 2.0
 """A cell with ground returns no farther from its centre is as high as the nearest of them [m]."""
 
 OFF_M: Final = 0.5
-"""Less beyond their range and what their slope explains is left to the surface [m]."""
+"""Terrain that is off by more is wrong: less beyond the range of the nearest ground and what its
+slope explains is left to the surface [m]."""
 
 CORNER_CELLS: Final = 3
 """Returns so near to a corner of the area that is read cover it [raster cells]."""

@@ -27,6 +27,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.products.gap_surface import ENOUGH
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.nearest_cells import distances, nearest_cells
 
@@ -41,17 +42,11 @@ CELL_M: Final = 1.0
 AROUND: Final = 12
 """Cells on each side whose differences are averaged [cells]."""
 
-_ENOUGH = 6
-"""Cells with ground that a ring must hold [count]."""
-
 _HALF_NORMAL = math.sqrt(math.pi / 2.0)
 """Standard deviation for each mean absolute value of a normal distribution."""
 
 _DAMPING = 0.25
 """Added to the scatter of a ring's places, which a gap may put on one line [cells2]."""
-
-_SLOPE_CELLS = 2
-"""Cells on each side whose ground tells the slope that returns scatter about [cells]."""
 
 Grid = NDArray[np.float64]
 
@@ -123,11 +118,15 @@ def terrain_sigma(means: Grid, cell_m: float, scatter: Scatter | None = None) ->
 
 
 def _layer_variance(scatter: Scatter, integrals: Grid, differ: Grid, cell_m: float) -> Grid:
-    """Variance of ground within the layer of its returns; ``differ``: of means among cells [m2]."""
+    """Variance of ground within the layer of its returns; ``differ``: of means among cells [m2].
+
+    The ground as far as the second ring begins tells the slope that returns scatter about.
+    """
     shape = scatter.returns.shape
     planes = np.zeros((5, *shape))
     everywhere = np.ones(shape, np.bool_)
-    _fit_planes(integrals, everywhere, 2 * rings(cell_m)[-1], (_SLOPE_CELLS, -1), 1, planes)
+    radii = rings(cell_m)
+    _fit_planes(integrals, everywhere, 2 * radii[-1], (radii[1], -1), 1, planes)
     east, north = planes[3:] / cell_m
     xx, xy, yy, xz, yz, zz = np.moveaxis(scatter.products, -1, 0)
     about = zz - 2 * (east * xz + north * yz)
@@ -166,7 +165,7 @@ def _differences(places: Grid, integrals: Grid, radii: tuple[int, ...]) -> Grid 
         _add_up(sums)
         count, total = _boxes(sums, AROUND)
         level[:] = np.nan
-        np.divide(_HALF_NORMAL * total, count, out=level, where=count > _ENOUGH - 0.5)
+        np.divide(_HALF_NORMAL * total, count, out=level, where=count > ENOUGH - 0.5)
     nowhere = np.asarray(np.isnan(levels).all(axis=0))
     if nowhere.all():
         return None
@@ -189,7 +188,7 @@ def _off_ring(places: Grid, integrals: Grid, reach: int, ring: int, planes: Grid
     ``planes``: room for :func:`_fit_planes`, of NaN.
     """
     x, y, z = np.moveaxis(places, -1, 0)
-    _fit_planes(integrals, ~np.isnan(z), reach, (2 * ring, ring - 1), _ENOUGH, planes)
+    _fit_planes(integrals, ~np.isnan(z), reach, (2 * ring, ring - 1), ENOUGH, planes)
     middle_x, middle_y, middle_z, east, north = planes
     above = east * (x - middle_x) + north * (y - middle_y)
     off: Grid = np.abs(z - (middle_z + above))

@@ -7,7 +7,6 @@ of its neighbours lie side by side. Chance tubes point anywhere.
 symbol name
 ====== ==========================================================================
 x, y, v offset from a tube's hanging line: along, across, upwards [quanta]
-w       r + ``widening`` |x|: half-width of a line drawn out [quanta]
 d       max(|y|, |v|): distance off the line, in square rings [quanta]
 ====== ==========================================================================
 """
@@ -63,18 +62,17 @@ def _room(made: Columns):  # type: ignore[no-untyped-def]
 
 @njit()
 def _in_tube(  # type: ignore[no-untyped-def]
-    made: Columns, tubes: Tubes, s: int, reach, aside, above, widening, bend, slots, places
+    made: Columns, tubes: Tubes, s: int, reach, aside, above, bend, slots, places
 ):
     """List the points of a tube drawn out to ``reach`` along its line; how many they are.
 
-    ``aside, above``: its half-widths at its middle. ``slots`` and ``places``: :func:`_room`.
+    ``aside, above``: its half-widths. ``slots`` and ``places``: :func:`_room`.
     """
     east, north = math.cos(tubes.azimuth[s]), math.sin(tubes.azimuth[s])
     x0, y0, z0 = tubes.middle[s, 0], tubes.middle[s, 1], tubes.middle[s, 2]
     slope, edge, points = tubes.slope[s], made.edge, made.points
     nx, ny = made.shape
-    wide = aside + widening * reach
-    long, deep = abs(east) * reach + abs(north) * wide, abs(north) * reach + abs(east) * wide
+    long, deep = abs(east) * reach + abs(north) * aside, abs(north) * reach + abs(east) * aside
     i0, i1 = stretch_of(x0 - made.corner[0], long, edge, nx)
     j0, j1 = stretch_of(y0 - made.corner[1], deep, edge, ny)
     size = U0
@@ -83,11 +81,11 @@ def _in_tube(  # type: ignore[no-untyped-def]
             # A column whose axis is farther off than its half diagonal holds nothing.
             cx = made.corner[0] + (i + 0.5) * edge - x0
             cy = made.corner[1] + (j + 0.5) * edge - y0
-            if abs(cy * east - cx * north) > wide + 0.71 * edge:
+            if abs(cy * east - cx * north) > aside + 0.71 * edge:
                 continue
             x = cx * east + cy * north
             far = abs(x) + edge
-            rise = abs(slope) * edge + above + widening * far
+            rise = abs(slope) * edge + above
             low, high = z0 + slope * x - rise, z0 + slope * x + rise + bend * far * far
             first, stop = made.start[i * ny + j], made.start[i * ny + j + 1]
             first = first_above(points, first, stop, low)
@@ -99,10 +97,9 @@ def _in_tube(  # type: ignore[no-untyped-def]
                 along = dx * spread(east) + dy * spread(north)
                 across = dy * spread(east) - dx * spread(north)
                 up = dz - spread(slope) * along - spread(bend) * along * along
-                more = spread(widening) * absolute(along)
                 taken = (absolute(along) <= spread(reach)) & (ascending(slot) < spread(end))
-                taken = taken & (absolute(across) <= spread(aside) + more)
-                taken = taken & (absolute(up) <= spread(above) + more)
+                taken = taken & (absolute(across) <= spread(aside))
+                taken = taken & (absolute(up) <= spread(above))
                 pack(slots, size, ascending(slot), taken)
                 pack(places, (U0, size), along, taken)
                 pack(places, (U1, size), across, taken)
@@ -123,7 +120,7 @@ def refine(
     slots, places = _room(made)
     wide = 3.0 * radius
     for s in range(len(tubes.length)):
-        size = _in_tube(made, tubes, s, tubes.length[s], wide, wide, 0.0, bend, slots, places)
+        size = _in_tube(made, tubes, s, tubes.length[s], wide, wide, bend, slots, places)
         n, beside, above = 0, 0, 0
         sx = sy = sv = sxx = sxy = sxv = 0.0
         for k in range(size):
@@ -153,7 +150,7 @@ def refine(
 
 @njit()
 def agreeing(  # type: ignore[no-untyped-def]
-    made, tubes, stretch, radius, widening, beside, above, turn_max, bend, inline, abreast, against
+    made, tubes, stretch, radius, beside, above, turn_max, bend, inline, abreast, against
 ):
     """Count the tubes that prolong each one, and those beside it that point the same way.
 
@@ -167,8 +164,7 @@ def agreeing(  # type: ignore[no-untyped-def]
     for s in range(len(tubes.length)):
         reach = stretch * tubes.length[s]
         size = _in_tube(
-            made, tubes, s, reach + ROUNDED, beside + ROUNDED, above + ROUNDED, 0.0, bend, slots,
-            places,
+            made, tubes, s, reach + ROUNDED, beside + ROUNDED, above + ROUNDED, bend, slots, places,
         )  # fmt: skip
         for k in range(size):
             t = made.points[3, slots[k]]
@@ -179,8 +175,7 @@ def agreeing(  # type: ignore[no-untyped-def]
             x, y, v = _along(tubes, s, dx, dy, tubes.middle[t, 2] - tubes.middle[s, 2], bend)
             if t == s or abs(x) > reach or abs(y) > beside or abs(v) > above:
                 continue
-            width = radius + widening * abs(x)
-            on_line = abs(y) <= width and abs(v) <= width
+            on_line = abs(y) <= radius and abs(v) <= radius
             apart = tubes.azimuth[t] - tubes.azimuth[s]
             turn = abs(apart) % math.pi
             rise = tubes.slope[t] if math.cos(apart) >= 0.0 else -tubes.slope[t]
@@ -197,13 +192,13 @@ def agreeing(  # type: ignore[no-untyped-def]
 
 @njit()
 def vote(  # type: ignore[no-untyped-def]
-    made: Columns, tubes: Tubes, radius: float, widening: float, bend: float, votes
+    made: Columns, tubes: Tubes, radius: float, bend: float, votes
 ) -> None:
     """Count for every point the tubes that hold it: ``votes`` (n,) int32 by row."""
     slots, places = _room(made)
     for s in range(len(tubes.length)):
         reach = tubes.length[s]
-        size = _in_tube(made, tubes, s, reach, radius, radius, widening, bend, slots, places)
+        size = _in_tube(made, tubes, s, reach, radius, radius, bend, slots, places)
         for k in range(size):
             votes[made.points[3, slots[k]]] += 1
 
@@ -218,7 +213,7 @@ def surroundings(made, tubes, rings, bend, count, held):  # type: ignore[no-unty
     slots, places = _room(made)
     for s in range(len(tubes.length)):
         reach = tubes.length[s]
-        size = _in_tube(made, tubes, s, reach, rings[-1], rings[-1], 0.0, bend, slots, places)
+        size = _in_tube(made, tubes, s, reach, rings[-1], rings[-1], bend, slots, places)
         for k in range(size):
             off = max(abs(places[1, k]), abs(places[2, k]))
             for ring in range(len(rings)):

@@ -77,9 +77,6 @@ BESIDE_M: Final = 6.0
 ABOVE_M: Final = 2.0
 """Farthest conductor of the same line, across and upwards [m]."""
 
-SPREAD: Final = 0.01
-"""Widening of a tube's line beyond the returns that shape it [rise/run]."""
-
 MEMBERS: Final = 8.0
 """Points that a chance tube keeps per point started from; divides alpha."""
 
@@ -205,7 +202,7 @@ def _score(
         places = np.rint(tubes.middle).astype(np.int32)
         made = columns(places, np.arange(len(places)), anchor, _first_look(settings))
         agreeing(
-            made, tubes, settings.stretch, settings.radius_m * QUANTA_PER_M, SPREAD,
+            made, tubes, settings.stretch, settings.radius_m * QUANTA_PER_M,
             BESIDE_M * QUANTA_PER_M, ABOVE_M * QUANTA_PER_M, TURN_MAX, _bend(settings),
             inline, abreast, against,
         )  # fmt: skip
@@ -250,7 +247,7 @@ def _votes(
     """Chosen tubes that hold each point within a part of their half-width: (n,) int32."""
     votes = np.zeros(n, np.int32)
     radius = part * settings.radius_m * QUANTA_PER_M
-    vote(made, tubes.take(chosen), radius, SPREAD, _bend(settings), votes)
+    vote(made, tubes.take(chosen), radius, _bend(settings), votes)
     return votes
 
 
