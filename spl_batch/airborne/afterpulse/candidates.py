@@ -42,15 +42,18 @@ from spl_batch.lattice.tables import BeamTable, PointTable, rows_of
 from spl_batch.numerics.simd import LANES
 
 EVERY: Final = 4
-"""One shot in so many tells the law, by shot number: no cut matters."""
+"""One shot in so many tells the law, by shot number: no cut matters. Half and twice move 94 + 103
+and 114 + 100 labels."""
 
 BLIND: Final = 4.5
 """Ranging spreads from which on a dead time is long: a second return of the same surface then
-cannot lie far behind it, since the first would have to lie as far in front."""
+cannot lie far behind it, since the first would have to lie as far in front. Half moves nothing,
+twice 4 + 27 labels."""
 
 APART: Final = (2.5, 3.3)
 """How far behind a surface a return no longer belongs to it: with so long a dead time, and without,
-where a surface gives beamlets two returns [spreads]."""
+where a surface gives beamlets two returns [spreads]. Half and twice move 4 + 6 and 32 + 71
+labels."""
 
 
 def assess(

@@ -53,10 +53,12 @@ QUANTILE: Final = 0.2
 """Quantile of the planes' spreads: in any survey with planes a fifth of them is hard."""
 
 SPREAD_CHANCE: Final = 1.15
-"""Spread of hard planes over that quantile, as some twenty returns of a plane tell it."""
+"""Spread of hard planes over that quantile, as some twenty returns of a plane tell it. Half moves
+nothing, twice 304 + 1063 labels."""
 
 BELIEVED: Final = 1.3
-"""Factor to the sensor's spread below which a larger one is roughness of the ground."""
+"""Factor to the sensor's spread below which a larger one is roughness of the ground. Half moves 48
++ 131 labels, twice nothing."""
 
 LOW: Final = 0.1
 ALIKE: Final = 0.7

@@ -26,7 +26,7 @@ from spl_batch.numerics.poisson import noise_tail_probability
 
 CROWDED: Final = 20
 """Refused returns of a 5 m cell, in the mean of a square, from which on noise is dense: 0.16 per m3
-[count]."""
+[count]. Half moves 7 + 0 labels, twice nothing."""
 
 RICH: Final = (4, 0.1)
 """Kept returns of a cell that is clearly richer than noise: their least number, and least share of
@@ -37,7 +37,8 @@ SQUARE: Final = 3
 
 LAYERS: Final = 2
 """Layers above and below that belong to a column, as ground may rise by 25 m in the square, and
-those below the lowest surface that are not searched for noise alone [count]."""
+those below the lowest surface that are not searched for noise alone [count]. Half moves nothing,
+twice 27 + 0 labels."""
 
 FULL: Final = 0.45
 """Least share of a square's columns that a surface fills; a shore along its middle passes."""

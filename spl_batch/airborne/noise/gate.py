@@ -21,7 +21,8 @@ from spl_batch.airborne.noise.noise_intervals import SUMMARY
 from spl_batch.engine.findings import Finding
 
 WINDOW_INTERVALS: Final = 64
-"""Intervals whose extremes are read together [count]."""
+"""Intervals whose extremes are read together [count]. Half and twice move 9 + 0 and 10 + 0
+labels."""
 
 TOLERANCE: Final = 0.1
 """Part of a gate's stated length by which the returns may fill more or less."""

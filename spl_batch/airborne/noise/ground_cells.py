@@ -17,7 +17,8 @@ from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import BeamTable, PointTable
 
 CELL_M: Final = 2.5
-"""Edge of a ground cell: half of a shot's patch [m]."""
+"""Edge of a ground cell: half of a shot's patch [m]. Half and twice move 312 + 0 and 223 + 10
+labels."""
 
 STRIDE: Final = int(np.iinfo(np.int32).max) + 1
 """Cell (i, j) has the number i x stride + j."""

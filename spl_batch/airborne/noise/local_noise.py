@@ -33,20 +33,25 @@ MARGIN_VOXELS: Final = 2
 """Voxels on each side of a point's that its density depends on."""
 
 PRIOR: Final = 6.0
-"""Beamlets that the squares around are worth against a square's own [count]."""
+"""Beamlets that the squares around are worth against a square's own [count]. Half and twice move 8
++ 31 and 18 + 5 labels."""
 
 BLUR: Final = 4.0
-"""Weight of a square's own count against a neighbour's along an axis, in a blur."""
+"""Weight of a square's own count against a neighbour's along an axis, in a blur. Half and twice
+move 33 + 31 and 24 + 8 labels."""
 
 RIDGE: Final = 3.0
 """How often a ridge gets back what a blur takes off it: blur and linear interpolation flatten the
-ridges of turning scans along the edges of swaths, and those over the edges of bright ground."""
+ridges of turning scans along the edges of swaths, and those over the edges of bright ground. Half
+and twice move 40 + 20 and 64 + 104 labels."""
 
 LEAST: Final = 0.15
-"""Share of the density that is left at the edge of a flightline, within a square of it."""
+"""Share of the density that is left at the edge of a flightline, within a square of it. Half moves
+nothing, twice 1 + 0 labels."""
 
 CUT: Final = 0.07
-"""Share by which a beamlet stands for less than in the next layer where its gate ends."""
+"""Share by which a beamlet stands for less than in the next layer where its gate ends. Half moves 2
++ 0 labels, twice nothing."""
 
 
 def listened(

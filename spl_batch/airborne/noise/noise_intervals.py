@@ -21,7 +21,8 @@ signal."""
 
 GROUP_RETURNS = 100
 """Returns that make the peak of a group sure [count]. The arc of an interval on the ground, tens of
-metres long, is cut into groups, so that on a slope each has its own signal."""
+metres long, is cut into groups, so that on a slope each has its own signal. Half and twice move 221
++ 6 and 238 + 5 labels."""
 
 
 @njit()

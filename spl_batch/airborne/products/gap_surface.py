@@ -28,13 +28,14 @@ from spl_batch.numerics.thin_plates import fit_plate, plate_height
 
 FAR_M: Final = 4.0
 """Distance to ground from which on a plate takes part, and edge of a block whose mean it is fitted
-to [m]."""
+to [m]. Half moves 0 + 1 labels, twice 123 + 28 cells of the DTM."""
 
 NODE_BLOCKS: Final = 3
 """Blocks from one plate to the next [count]."""
 
 WINDOW_BLOCKS: Final = 7
-"""Blocks on each side of a node that its plate is fitted to, at most [count]."""
+"""Blocks on each side of a node that its plate is fitted to, at most [count]. Half moves 123 + 28
+cells of the DTM, twice nothing."""
 
 _RIM = 2
 """Blocks with an empty one no farther than this are the rim of a gap [count]."""

@@ -75,14 +75,16 @@ OPTIONAL: Final = (*COLUMNS_OF_INTENSITY, "afterpulse", "noise_density")
 """All that it reads where it is there: what the time domain and the filter give."""
 
 NEAR_M: Final = 2.0
-"""A cell with ground returns no farther from its centre is as high as the nearest of them [m]."""
+"""A cell with ground returns no farther from its centre is as high as the nearest of them [m]. Half
+moves nothing, twice 3 + 0 cells of its sigma."""
 
 OFF_M: Final = 0.5
 """Terrain that is off by more is wrong: less beyond the range of the nearest ground and what its
 slope explains is left to the surface [m]."""
 
 CORNER_CELLS: Final = 3
-"""Returns so near to a corner of the area that is read cover it [raster cells]."""
+"""Returns so near to a corner of the area that is read cover it [raster cells]. Without, a hall
+that is wider than the margin leaves a void in the terrain near its walls."""
 
 
 def margin_cells(settings: ProductSettings) -> int:

@@ -43,7 +43,7 @@ COARSE: Final = DENSITIES[::10]
 """Noise densities that are drawn where no shipped table fits: too few to show ups and downs."""
 
 MOST: Final = 0.5
-"""Largest part of the filter's alpha that the scan gets."""
+"""Largest part of the filter's alpha that the scan gets. Half moves 9 + 4 labels, twice nothing."""
 
 
 @dataclass(frozen=True, slots=True)

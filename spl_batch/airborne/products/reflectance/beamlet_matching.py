@@ -170,7 +170,8 @@ def _raise(
 
 
 COARSE = 8
-"""Cells along one side of the coarse squares that bound heights [count]."""
+"""Cells along one side of the coarse squares that bound heights [count]. Half moves 6273 + 6380
+cells of the intensity, twice 6764 + 6783 cells of the intensity."""
 
 U_COARSE = np.uint64(COARSE)
 

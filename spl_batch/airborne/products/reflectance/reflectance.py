@@ -69,10 +69,12 @@ from spl_batch.numerics.compiled import njit
 COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "line", "noise_class")
 
 FIRED_MIN: Final = 5
-"""Cells that fewer beamlets were fired at hold nothing [count]."""
+"""Cells that fewer beamlets were fired at hold nothing [count]. Half moves 254 + 243 cells of the
+intensity, twice 476 + 303 cells of the intensity."""
 
 ALIKE_CELLS: Final = 2.0
-"""Neighbouring cells no farther apart in height than this are of one surface [cells]."""
+"""Neighbouring cells no farther apart in height than this are of one surface [cells]. Half moves
+2646 + 3685 cells of the intensity, twice 708 + 832 cells of the intensity."""
 
 
 def raster(
