@@ -9,7 +9,7 @@ flightline's density is found on squares, 2.5 m wide in voxels of 10 m, and flig
 - A count is believed as far as the chance of silent beamlets allows, against the squares around.
   Gaps of up to two squares are closed.
 - A beamlet stands for the same noise in each layer that it crosses, and for less where its gate
-  ends. Such a layer takes the noise per beamlet of the layer above or below.
+  ends. So a layer takes the noise per beamlet of the layer above or below where that is more.
 
 Between the centres of squares and of layers the density is linear, along the lean of the beams.
 ``docs/evidence/noise.md`` has the share of noise kept along sharp edges.
@@ -48,10 +48,6 @@ and twice move 40 + 20 and 64 + 104 labels."""
 LEAST: Final = 0.15
 """Share of the density that is left at the edge of a flightline, within a square of it. Half moves
 nothing, twice 1 + 0 labels."""
-
-CUT: Final = 0.07
-"""Share by which a beamlet stands for less than in the next layer where its gate ends. Half moves 2
-+ 0 labels, twice nothing."""
 
 
 def listened(
@@ -138,8 +134,8 @@ def each_stands_for(
     own = blurred(counts.mean(axis=3) / BEAMLET)
     part = np.divide(mean, own, out=np.zeros(own.shape), where=own > 0.0)
     # The largest of each layer and those above and below.
-    whole = ndimage.maximum_filter1d(part, 3, axis=2)
-    return np.where(part < (1.0 - CUT) * whole, whole, part)
+    whole: NDArray[np.float64] = ndimage.maximum_filter1d(part, 3, axis=2)
+    return whole
 
 
 def unpack(counts: NDArray[np.integer[Any]]) -> NDArray[np.float32]:
