@@ -45,16 +45,6 @@ EVERY: Final = 4
 """One shot in so many tells the law, by shot number: no cut matters. Half and twice move 94 + 103
 and 114 + 100 labels."""
 
-BLIND: Final = 4.5
-"""Ranging spreads from which on a dead time is long: a second return of the same surface then
-cannot lie far behind it, since the first would have to lie as far in front. Half moves nothing,
-twice 4 + 27 labels."""
-
-APART: Final = (2.5, 3.3)
-"""How far behind a surface a return no longer belongs to it: with so long a dead time, and without,
-where a surface gives beamlets two returns [spreads]. Half and twice move 4 + 6 and 32 + 71
-labels."""
-
 
 def assess(
     table: PointTable,
@@ -159,7 +149,6 @@ def hard_rules(
         chain_m=settings.lag_max_m * deeper,
         dead_m=law.dead_m,
         sigma_m=law.sigma_m,
-        apart=APART[law.dead_m < BLIND * law.sigma_m],
         longest_m=law.longest_m,
         beamlets=float(sensor.beamlets),
         law=law.density,

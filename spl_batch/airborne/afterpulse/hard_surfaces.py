@@ -39,9 +39,7 @@ class Rules(NamedTuple):
     lag_max_m: float
     chain_m: float  #: How far behind a surface its afterpulses go, those of afterpulses among them.
     dead_m: float
-    #: Ranging spread, and how many of it behind a surface a return no longer belongs to it.
-    sigma_m: float
-    apart: float
+    sigma_m: float  #: Ranging spread.
     longest_m: float  #: The longest lag of an afterpulse.
     beamlets: float
     #: (k,): afterpulses per detection and metre, from the dead time on, every :data:`STEP_M` [1/m].

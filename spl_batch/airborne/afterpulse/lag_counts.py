@@ -30,7 +30,7 @@ PARENTS_MIN = 12
 """Least first returns on that plane [count]."""
 
 BEHIND = 2.5
-"""A follower so far behind the plane does not belong to the surface itself [spreads]."""
+"""A follower so far behind a plane does not belong to the surface itself [spreads]."""
 
 TILTED = 0.9
 """Cosine of the angle between a beam and the normal of a plane up to which the plane is taken as it

@@ -16,7 +16,7 @@ from spl_batch.airborne.afterpulse.hard_surfaces import (
     hard_surfaces,
     on_surface,
 )
-from spl_batch.airborne.afterpulse.lag_counts import law_at
+from spl_batch.airborne.afterpulse.lag_counts import BEHIND, law_at
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.simd import LANES, TOGETHER
 
@@ -59,7 +59,7 @@ def follows_surface(
     noise is large, half the dead time is distance enough: the dead time is longer than a hard
     surface is thick.
     """
-    if behind[i] <= max(0.5 * rules.dead_m, rules.apart * spread):
+    if behind[i] <= max(0.5 * rules.dead_m, BEHIND * spread):
         return False
     if depth <= behind[i] <= depth + 2.0 * rules.below_m:
         return False

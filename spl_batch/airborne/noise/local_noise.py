@@ -45,10 +45,6 @@ RIDGE: Final = 3.0
 ridges of turning scans along the edges of swaths, and those over the edges of bright ground. Half
 and twice move 40 + 20 and 64 + 104 labels."""
 
-LEAST: Final = 0.15
-"""Share of the density that is left at the edge of a flightline, within a square of it. Half moves
-nothing, twice 1 + 0 labels."""
-
 
 def listened(
     amount: NDArray[np.int64], counts: NDArray[np.integer[Any]], voxel_m: float
@@ -108,7 +104,7 @@ def around(
         offset.append(rest / edge - 0.5)
     np.clip(square[2], 0, lines[0].shape[2] - 1, out=square[2])
     for density in lines:
-        add_between(density, tuple(square), tuple(offset), LEAST, total)
+        add_between(density, tuple(square), tuple(offset), total)
     return total
 
 
@@ -157,14 +153,12 @@ def add_between(
     density: NDArray[np.float32],
     square: tuple[NDArray[np.int64], ...],
     offset: tuple[NDArray[np.float64], ...],
-    least: float,
     out: NDArray[np.float64],
 ) -> None:
     """Add the density at points, linear between squares and between layers that both have some.
 
     ``square``: index of each point's square and layer; ``offset``: from the centre of both, in
-    squares and in layers [-0.5..0.5]. ``least``: part of the largest of four squares that is left
-    at an edge [0..1].
+    squares and in layers [-0.5..0.5].
     """
     nx, ny, layers = density.shape
     for p in range(len(out)):
@@ -176,9 +170,9 @@ def add_between(
         j = np.uint64(_within(square[1][p] + south, ny))
         e = np.uint64(_within(square[0][p] + west + 1.0, nx))
         n = np.uint64(_within(square[1][p] + south + 1.0, ny))
-        found = _linear(density, i, e, j, n, z, right, ahead, least)
+        found = _linear(density, i, e, j, n, z, right, ahead)
         k = np.uint64(_within(square[2][p] + (1 if up > 0.0 else -1), layers))
-        beside = _linear(density, i, e, j, n, k, right, ahead, least)
+        beside = _linear(density, i, e, j, n, k, right, ahead)
         if found > 0.0 and beside > 0.0:
             found += abs(up) * (beside - found)
         out[p] += found
@@ -191,8 +185,8 @@ def _within(at, size):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def _linear(values, i, e, j, n, z, right, ahead, least):  # type: ignore[no-untyped-def]
-    """Value between four squares of a layer, and at least a part of the largest one."""
+def _linear(values, i, e, j, n, z, right, ahead):  # type: ignore[no-untyped-def]
+    """Value between four squares of a layer."""
     a, b, c, d = values[i, j, z], values[e, j, z], values[i, n, z], values[e, n, z]
     near, far = (1.0 - right) * a + right * b, (1.0 - right) * c + right * d
-    return max((1.0 - ahead) * near + ahead * far, least * max(a, b, c, d))
+    return (1.0 - ahead) * near + ahead * far

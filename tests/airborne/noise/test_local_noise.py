@@ -70,7 +70,7 @@ def test_across_a_clear_edge_the_density_rises_over_two_squares(until_m: float) 
     np.testing.assert_allclose(found[inside > 5.1], 1, atol=0.04)
     # linear between squares, which the true edge cuts anywhere
     linear = np.interp(inside, [-3.2, -2, -1, 0, 1, 2, 3.2], [0, 0.03, 0.2, 0.5, 0.8, 0.97, 1])
-    some = (found > 0) & (found != local_noise.LEAST)
+    some = found > 0
     np.testing.assert_allclose(found[some], linear[some], atol=0.3)
 
 
@@ -80,7 +80,6 @@ def test_beside_an_edge_flightlines_add_up() -> None:
     alone, together = along_x(x, cut), along_x(x, cut, whole)
     np.testing.assert_allclose(together, 0.3 * PER_M3 + alone, rtol=1e-5)
     heard = alone > 0
-    assert alone[heard].min() > 0.5 * local_noise.LEAST * PER_M3
     assert 47.0 < x[heard].max() < 47.0 + 2 * 2.5
 
 
@@ -244,9 +243,7 @@ def test_a_point_lies_between_the_centres_of_squares_and_of_layers() -> None:
         for z in range(shape[2]):
             flat, at = density[:, :, z].astype(float), place[:2, p, None] - 0.5
             linear = ndimage.map_coordinates(flat, at, order=1, mode="nearest")[0]
-            i, j = (np.clip(np.floor(at[:, 0] + k), 0, np.array(shape[:2]) - 1) for k in (0, 1))
-            four = flat[np.ix_([int(i[0]), int(j[0])], [int(i[1]), int(j[1])])]
-            layer.append(max(linear, local_noise.LEAST * four.max()))
+            layer.append(linear)
         z = square[2, p]
         beside = layer[min(max(z + (1 if offset[2, p] > 0 else -1), 0), shape[2] - 1)]
         both = layer[z] > 0 and beside > 0

@@ -150,22 +150,20 @@ def refine(
 
 @njit()
 def agreeing(  # type: ignore[no-untyped-def]
-    made, tubes, stretch, radius, beside, above, turn_max, bend, inline, abreast, against
+    made, tubes, stretch, radius, beside, turn_max, bend, inline, abreast, against
 ):
     """Count the tubes that prolong each one, and those beside it that point the same way.
 
     ``made`` lists the tubes' middles, rounded. Tubes count as far as ``stretch`` half-lengths
-    along, ``beside`` and ``above`` off the line, and turned by ``turn_max`` [rad; rise/run].
+    along, ``beside`` off the line, across and upwards, and turned by ``turn_max`` [rad; rise/run].
     ``inline`` (m,) receives agreeing tubes beyond the own half-length, which share no return with
     it, ``abreast`` those off its line, ``against`` the tubes on its line that point elsewhere, less
     those that agree.
     """
     slots, places = _room(made)
     for s in range(len(tubes.length)):
-        reach = stretch * tubes.length[s]
-        size = _in_tube(
-            made, tubes, s, reach + ROUNDED, beside + ROUNDED, above + ROUNDED, bend, slots, places,
-        )  # fmt: skip
+        reach, wide = stretch * tubes.length[s], beside + ROUNDED
+        size = _in_tube(made, tubes, s, reach + ROUNDED, wide, wide, bend, slots, places)
         for k in range(size):
             t = made.points[3, slots[k]]
             dx, dy = (
@@ -173,7 +171,7 @@ def agreeing(  # type: ignore[no-untyped-def]
                 tubes.middle[t, 1] - tubes.middle[s, 1],
             )
             x, y, v = _along(tubes, s, dx, dy, tubes.middle[t, 2] - tubes.middle[s, 2], bend)
-            if t == s or abs(x) > reach or abs(y) > beside or abs(v) > above:
+            if t == s or abs(x) > reach or abs(y) > beside or abs(v) > beside:
                 continue
             on_line = abs(y) <= radius and abs(v) <= radius
             apart = tubes.azimuth[t] - tubes.azimuth[s]

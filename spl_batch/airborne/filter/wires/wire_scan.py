@@ -79,7 +79,6 @@ TURN_MAX: Final = 0.05
 labels."""
 
 BESIDE_M: Final = 6.0
-ABOVE_M: Final = 2.0
 """Farthest conductor of the same line, across and upwards [m]. Half moves 0 + 1 labels, twice
 nothing."""
 
@@ -210,7 +209,7 @@ def _score(
         made = columns(places, np.arange(len(places)), anchor, _first_look(settings))
         agreeing(
             made, tubes, settings.stretch, settings.radius_m * QUANTA_PER_M,
-            BESIDE_M * QUANTA_PER_M, ABOVE_M * QUANTA_PER_M, TURN_MAX, _bend(settings),
+            BESIDE_M * QUANTA_PER_M, TURN_MAX, _bend(settings),
             inline, abreast, against,
         )  # fmt: skip
     score = tubes.p * 10.0 ** (-INLINE * inline - ABREAST * abreast)

@@ -181,7 +181,7 @@ def test_agreement_votes_and_surroundings_are_the_slow_twins(seed: int, n: int) 
     made, places = laid(tubes.middle, 8000), np.rint(tubes.middle)
     inline, abreast, against, votes = (np.zeros(n, np.int32) for _ in range(4))
     agreeing(
-        made, tubes, 2.0, 250.0, 6000.0, 2000.0, 0.05, BEND, inline, abreast, against
+        made, tubes, 2.0, 250.0, 6000.0, 0.05, BEND, inline, abreast, against
     )  # fmt: skip
     vote(made, tubes, 250.0, BEND, votes)
     count, held = np.zeros((n, 3), np.int32), np.zeros((n, PARTS), np.bool_)
@@ -190,7 +190,7 @@ def test_agreement_votes_and_surroundings_are_the_slow_twins(seed: int, n: int) 
     for s in range(n):
         x, y, v = along(tubes.middle, tubes, s)
         on = (np.abs(y) <= 250.0) & (np.abs(v) <= 250.0)
-        near = (np.abs(x) <= 2 * length[s]) & (np.abs(y) <= 6000) & (np.abs(v) <= 2000)
+        near = (np.abs(x) <= 2 * length[s]) & (np.abs(y) <= 6000) & (np.abs(v) <= 6000)
         near[s] = False
         turn = np.abs(azimuth - azimuth[s]) % np.pi
         rise = np.where(np.cos(azimuth - azimuth[s]) >= 0, slope, -slope) - slope[s]
