@@ -47,10 +47,6 @@ COARSE: Final = (0.1, 0.15)
 """Least width of a bin of the fit [m], and least share of the lag behind the dead time. Half and
 twice move 86 + 87 and 55 + 93 labels."""
 
-ABOVE: Final = 0.25
-"""Share of the background by which followers exceed it where a tail shows itself: it is known no
-better."""
-
 TAIL_LEAST: Final = 0.01
 """Least followers of a tail beyond background, per return: fewer are seen where a bright point
 lights whole shots, whose few other returns are the ground behind it. Without, those are a tail."""
@@ -251,8 +247,8 @@ def _reach(
         return stated_m
     # Three bins together, as each holds few far behind.
     three, due_three = (np.convolve(values, np.ones(3), "same") for values in (more, due))
-    shows = three > np.maximum(SURE_SIGMA * np.sqrt(due_three + 1.0), ABOVE * due_three)
-    own = more > np.maximum(0.5 * SURE_SIGMA * np.sqrt(due + 1.0), ABOVE * due)
+    shows = three > SURE_SIGMA * np.sqrt(due_three + 1.0)
+    own = more > 0.5 * SURE_SIGMA * np.sqrt(due + 1.0)
     last = np.flatnonzero(own & np.convolve(shows, np.ones(3), "same").astype(np.bool_))
     if not len(last) or more[: last[-1] + 1].sum() <= least:
         return stated_m

@@ -150,15 +150,15 @@ def refine(
 
 @njit()
 def agreeing(  # type: ignore[no-untyped-def]
-    made, tubes, stretch, radius, beside, turn_max, bend, inline, abreast, against
+    made, tubes, stretch, radius, beside, turn_max, bend, agree, against
 ):
     """Count the tubes that prolong each one, and those beside it that point the same way.
 
     ``made`` lists the tubes' middles, rounded. Tubes count as far as ``stretch`` half-lengths
     along, ``beside`` off the line, across and upwards, and turned by ``turn_max`` [rad; rise/run].
-    ``inline`` (m,) receives agreeing tubes beyond the own half-length, which share no return with
-    it, ``abreast`` those off its line, ``against`` the tubes on its line that point elsewhere, less
-    those that agree.
+    ``agree`` (m,) receives agreeing tubes off its line, or beyond the own half-length: they share
+    no return with it. ``against`` receives the tubes on its line that point elsewhere, less those
+    that agree.
     """
     slots, places = _room(made)
     for s in range(len(tubes.length)):
@@ -180,10 +180,8 @@ def agreeing(  # type: ignore[no-untyped-def]
             rise -= tubes.slope[s] + 2.0 * bend * x
             if min(turn, math.pi - turn) > turn_max or abs(rise) > turn_max:
                 against[s] += on_line and abs(x) <= tubes.length[s]
-            elif not on_line:
-                abreast[s] += 1
-            elif abs(x) > tubes.length[s]:
-                inline[s] += 1
+            elif not on_line or abs(x) > tubes.length[s]:
+                agree[s] += 1
             else:
                 against[s] -= 1
 

@@ -179,9 +179,9 @@ def test_agreement_votes_and_surroundings_are_the_slow_twins(seed: int, n: int) 
     tubes, rings = drawn_tubes(seed, n), np.array([400.0, 900.0, 2500.0])
     azimuth, slope, length = tubes.azimuth, tubes.slope, tubes.length
     made, places = laid(tubes.middle, 8000), np.rint(tubes.middle)
-    inline, abreast, against, votes = (np.zeros(n, np.int32) for _ in range(4))
+    agree, against, votes = (np.zeros(n, np.int32) for _ in range(3))
     agreeing(
-        made, tubes, 2.0, 250.0, 6000.0, 0.05, BEND, inline, abreast, against
+        made, tubes, 2.0, 250.0, 6000.0, 0.05, BEND, agree, against
     )  # fmt: skip
     vote(made, tubes, 250.0, BEND, votes)
     count, held = np.zeros((n, 3), np.int32), np.zeros((n, PARTS), np.bool_)
@@ -197,8 +197,7 @@ def test_agreement_votes_and_surroundings_are_the_slow_twins(seed: int, n: int) 
         same = np.minimum(turn, np.pi - turn) <= 0.05
         same &= np.abs(rise - 2 * BEND * x) <= 0.05
         short = np.abs(x) <= length[s]
-        assert inline[s] == (near & same & on & ~short).sum()
-        assert abreast[s] == (near & same & ~on).sum()
+        assert agree[s] == (near & same & ~(on & short)).sum()
         assert against[s] == (near & on & short & ~same).sum() - (near & on & short & same).sum()
         x, y, v = along(places, tubes, s)
         off, within = np.maximum(np.abs(y), np.abs(v)), np.abs(x) <= length[s]
