@@ -25,8 +25,9 @@ from spl_batch.numerics.simd import LANES, UL, absolute, ascending, load, number
 PARTS: Final = 8
 """Equal parts of a tube that are distinguished [count]."""
 
-ROUNDED: Final = 2.0
-"""Farthest that middles of tubes move when they are rounded, off any line of theirs [quanta]."""
+ROUNDED: Final = math.sqrt(3.0)
+"""Farthest that middles of two tubes move when they are rounded, half a quantum along each axis
+[quanta]."""
 
 
 class Tubes(NamedTuple):
