@@ -270,8 +270,6 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
         "S02": Code(
             "Flightlines are not compared",
             {
-                "passes": "in {cells:ground cells} more than {most} flightlines overlap, {worst} "
-                "in {cell}: those with most returns are compared, the others are not",
                 "alone": "{count:flightlines|share} too few planar patches with others and stay: "
                 "{names}",
                 "far": "would have to be shifted by {up_m:length} up, more than the "

@@ -15,12 +15,12 @@ from spl_batch.airborne.catalogue.delivered_files import (
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.lines.comparison import (
     done_sentence,
-    left_out_warnings,
     offset_warnings,
     pairs_of,
     shifts_of,
 )
 from spl_batch.airborne.plan.cost import SurveyCost, estimate
+from spl_batch.airborne.plan.grid import require_whole_cells
 from spl_batch.airborne.plan.inputs.findings import (
     beams_without_trajectory,
     copies,
@@ -40,7 +40,6 @@ from spl_batch.airborne.products.product_table import ABOVE_GEOID, PRODUCTS
 from spl_batch.airborne.report.model import Report
 from spl_batch.airborne.report.verdicts import screen_summary
 from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.flow.warm_up import WarmUp
 from spl_batch.engine.tasks.input_changes import stamp_if_there
@@ -51,7 +50,6 @@ from spl_batch.errors import WorkflowError, grouped, merged_faults
 from spl_batch.formats.las.header import waveform_file
 from spl_batch.formats.las.reader import promised_points
 from spl_batch.formats.units import Units, in_words
-from spl_batch.lattice.tiles import quanta
 
 
 class Imaging(Receiver[Survey, Context]):
@@ -71,7 +69,7 @@ class Imaging(Receiver[Survey, Context]):
 
     def gather(self, workflow: Workflow, base: Path, output: Path) -> Inputs:
         """Find and check every file of a workflow, from headers alone."""
-        _check_cells(workflow)
+        require_whole_cells(workflow)
         return gather_inputs(workflow, base, output)
 
     def cost(self, prepared: Prepared[Survey, Context]) -> SurveyCost:
@@ -189,34 +187,8 @@ RECEIVER: Final[Receiver[Any, Any]] = Imaging()
 """The one there is."""
 
 
-def _check_cells(workflow: Workflow) -> None:
-    """Edges are whole millimetres, and raster cells fill a ground cell."""
-    edges = {
-        "tiling.tile_m": workflow.tiling.tile_m,
-        "ground.cell_m": workflow.ground.cell_m,
-        "products.cell_m": workflow.products.cell_m,
-        "noise.voxel_m": workflow.noise.voxel_m,
-    }
-    faults = [
-        f"{key}: {edge:g} is not a whole number of millimetres"
-        + "; outputs.cell gives rasters of whole feet" * (key == "products.cell_m")
-        for key, edge in edges.items()
-        if quanta(edge) < 1 or abs(edge * QUANTA_PER_M - quanta(edge)) > 1e-6
-    ]
-    if not faults and quanta(workflow.ground.cell_m) % quanta(workflow.products.cell_m):
-        faults.append(
-            f"ground.cell_m ({workflow.ground.cell_m:g}) must be a whole multiple of "
-            f"products.cell_m ({workflow.products.cell_m:g})"
-        )
-    if faults:
-        raise WorkflowError("; ".join(faults))
-
-
 def _swath_findings(step: Step, survey: Survey) -> Iterator[Finding]:
     """What is found of flightlines where they overlap."""
-    if step.name == "strip_patches":
-        cells = survey.of("strip_patches").items()
-        yield from left_out_warnings({name: r.facts.get("left_out", 0) for name, r in cells})
     if step.name == "strip_pairs":
         pairs = pairs_of(survey.of("strip_pairs").values())
         yield from offset_warnings(pairs, survey.workflow.survey.align)

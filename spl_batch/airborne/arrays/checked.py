@@ -5,13 +5,13 @@ of a file do. Faults are told all at once: which array, which value, what helps.
 """
 
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spl_batch.airborne.settings.workflow import Workflow, parse_workflow
-from spl_batch.constants import QUANTA_PER_M, QUANTUM_M
+from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.flow.cluster import machine_memory
 from spl_batch.engine.plan.worker_memory import LOADED_BASE_BYTES, USABLE_SHARE, usable_bytes
 from spl_batch.errors import InputError, WorkflowError, counted, grouped
@@ -65,12 +65,60 @@ def settings_of(
     return parse_workflow({"survey": survey, "output": "none", **given}, "settings")
 
 
-def points_of(
-    xyz: ArrayLike, *, water: ArrayLike | None = None, **columns: ArrayLike | None
-) -> PointTable:
-    """Points [m] as a table in the caller's order; None leaves a column out, one value is for all.
+class Asked(NamedTuple):
+    """What the values of an array have to be, one for each point."""
 
-    Raises InputError if a shape is wrong, or a coordinate is no place.
+    dtype: Any
+    meaning: str
+    most: float | None = None  #: None if any value will do, else they are 0 to this.
+    shape: tuple[int, ...] = ()  #: Of one value.
+
+
+ASKED: Final[Mapping[str, Asked]] = {
+    "gps_time": Asked(np.float64, "a time [s]"),
+    "channel": Asked(np.uint8, "a beamlet number from 0 to 255", 255),
+    "return_number": Asked(np.uint8, "a whole number from 0 to 255", 255),
+    "flightline": Asked(np.uint16, "a whole number from 0 to 65535", 65_535),
+    "beam_origin": Asked(np.float64, "the sensor's position, three numbers [m]", shape=(3,)),
+    "noise_density": Asked(
+        np.float64, f"returns per cubic metre, 0 to {MOST_PER_M3:g}", MOST_PER_M3
+    ),
+    "water": Asked(np.bool_, "true or false"),
+    "ground": Asked(np.bool_, "true or false"),
+    "labels": Asked(np.uint8, "a noise class from 0 to 255, or whether it is signal", 255),
+}
+"""Arrays that a caller may give beside the coordinates."""
+
+
+def values_of(name: str, given: ArrayLike, count: int) -> Numbers:
+    """Values of a caller's array for each of some points; a single one is for all.
+
+    Raises InputError if its shape is wrong, or a value.
+    """
+    asked, found = ASKED[name], np.asarray(given)
+    if found.shape not in {asked.shape, (count, *asked.shape)}:
+        raise InputError(
+            name,
+            f"has shape {found.shape}; give {asked.meaning}, one for each of {count} points or for "
+            "all",
+        )
+    if asked.most is not None:
+        # A comparison with NaN is false.
+        fits = (found >= 0) & (found <= asked.most)
+        if np.issubdtype(asked.dtype, np.integer):
+            fits &= found == np.rint(found)
+        bad = np.flatnonzero(~fits)
+        if len(bad):
+            value = found.reshape(-1)[bad[0]]
+            raise InputError(name, f"{value:g} (number {bad[0]}); give {asked.meaning}")
+    each = np.broadcast_to(found.astype(asked.dtype, copy=False), (count, *asked.shape))
+    return np.ascontiguousarray(each)
+
+
+def points_of(xyz: ArrayLike, **arrays: ArrayLike | None) -> PointTable:
+    """Points [m] as a table in the caller's order, with further columns by :data:`ASKED`.
+
+    Raises InputError if a shape is wrong, a coordinate is no place, or a value.
     """
     if hasattr(xyz, "xyz"):
         raise InputError("xyz", f"a {type(xyz).__name__}, and no array; give its attribute xyz")
@@ -81,32 +129,26 @@ def points_of(
             f"an array of shape {place.shape}, {place.dtype}; give (n, 3) numbers: easting, "
             "northing, height in metres",
         )
-    wrong: dict[str, list[str]] = {"xyz": _misplaced(place)}
-    held: dict[str, Numbers] = {}
-    for name, values in {"water": water, **columns}.items():
-        if values is not None:
-            found = np.asarray(values)
-            if found.shape not in {(), (len(place),)}:
-                wrong[name] = [
-                    f"has shape {found.shape}; give one value for each of {len(place)} points"
-                ]
-                continue
-            held[name] = np.ascontiguousarray(np.broadcast_to(found, (len(place),)))
-    named = {name: faults for name, faults in wrong.items() if faults}
-    if len(named) == 1:
-        raise InputError(*named.popitem())
-    if named:
-        told = (f"{name}: {fault}" for name, faults in named.items() for fault in faults)
-        raise InputError("arrays", list(told))
+    misplaced = _misplaced(place)
+    wrong = [InputError("xyz", misplaced)] if misplaced else []
+    held: dict[str, Numbers] = {"water": np.zeros(len(place), np.bool_)}
+    for name, given in arrays.items():
+        if given is not None:
+            try:
+                held[name] = values_of(name, given, len(place))
+            except InputError as fault:
+                wrong.append(fault)
+    if wrong:
+        raise wrong[0] if len(wrong) == 1 else InputError("arrays", [*map(str, wrong)])
     whole = np.rint(place.astype(np.float64, copy=False) * QUANTA_PER_M).astype(np.int64)
+    flags = held.pop("water") * np.uint8(PointFlag.WATER)
+    held = {"point_source_id" if name == "flightline" else name: v for name, v in held.items()}
     base = dict(zip("xyz", whole.T, strict=True))
-    wet = held.pop("water", np.zeros(len(place), np.bool_))
-    flags = wet.astype(np.bool_) * np.uint8(PointFlag.WATER)
     return PointTable({}).with_columns(**base, flags=flags, **held)
 
 
 def _misplaced(place: Numbers) -> list[str]:
-    """What is wrong with coordinates."""
+    """What is wrong with coordinates; longitudes and latitudes a run refuses as well."""
     faults = []
     bad = np.flatnonzero(~np.isfinite(place).all(axis=1))
     if len(bad):
@@ -121,6 +163,12 @@ def _misplaced(place: Numbers) -> list[str]:
     if len(far):
         value = ", ".join(f"{v:g}" for v in place[far[0]])
         faults.append(f"point number {far[0]} lies at {value}; give metres in a projected CRS")
+    few = len(place) < FEWEST
+    if not faults and not few and look_like_degrees(place.min(0).tolist(), place.max(0).tolist()):
+        faults.append(
+            "the coordinates look like degrees; reproject to metres, with pyproj for instance, or "
+            "add 1000 to x where they are metres from a corner of your own"
+        )
     return faults
 
 
@@ -128,19 +176,6 @@ def box_of(table: PointTable) -> Bounds:
     """Region of all points of a table, at least one [quanta]."""
     x, y = table["x"], table["y"]
     return Bounds(int(x.min()), int(y.min()), int(x.max()) + 1, int(y.max()) + 1)
-
-
-def require_metres(table: PointTable) -> None:
-    """Refuse longitudes and latitudes, which a run refuses in files that name no CRS."""
-    if len(table) < FEWEST:
-        return
-    low, high = ([float(f(table[axis])) * QUANTUM_M for axis in "xy"] for f in (np.min, np.max))
-    if look_like_degrees(low, high):
-        raise InputError(
-            "xyz",
-            "the coordinates look like degrees; reproject to metres, with pyproj for instance, or "
-            "add 1000 to x where they are metres from a corner of your own",
-        )
 
 
 def require_shots(gps_time: NDArray[np.float64]) -> None:
@@ -184,22 +219,3 @@ def coarse(xyz: ArrayLike) -> tuple[str, ...]:
         return ()
     text = f"xyz is {place.dtype}, which holds {farthest:.0f} m to {step_m:.2g} m only"
     return (f"{text}; points are rounded to that; give float64",)
-
-
-def densities(given: ArrayLike, count: int) -> NDArray[np.float64]:
-    """Noise densities of a caller, one or one for each point, as (n,) float64 [1/m3]."""
-    density = np.asarray(given, dtype=np.float64)
-    if density.shape not in {(), (count,)}:
-        raise InputError(
-            "noise_density",
-            f"an array of shape {density.shape}; give a number, or one for each of {count} points",
-        )
-    # A comparison with NaN is false.
-    bad = np.flatnonzero(~((density >= 0) & (density <= MOST_PER_M3)).reshape(-1))
-    if len(bad):
-        value = density.reshape(-1)[bad[0]]
-        raise InputError(
-            "noise_density",
-            f"{value:g} (number {bad[0]}); give returns per cubic metre, 0 to {MOST_PER_M3:g}",
-        )
-    return np.ascontiguousarray(np.broadcast_to(density, (count,)))

@@ -15,11 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from spl_batch.airborne.arrays.checked import (
     box_of,
     coarse,
-    densities,
     points_of,
-    require_metres,
     require_shots,
     settings_of,
+    values_of,
 )
 from spl_batch.airborne.arrays.compiling import telling
 from spl_batch.airborne.arrays.empty_space import EmptySpace, empty_space
@@ -119,11 +118,15 @@ def filter_points(
     True
     """
     chosen = settings_of(settings, sensor, filter={"alpha": alpha, "method": method})
-    table = _table(xyz, gps_time, channel, flightline, return_number, water)
-    origin = _origins(beam_origin, table, timed=gps_time is not None)
-    given = None if noise_density is None else densities(noise_density, len(table))
-    known = assess(table, origin, chosen) if gps_time is not None and len(table) else None
-    labels = _filtered(table if known is None else known.table, given, known, chosen)
+    of_shots = {
+        "gps_time": gps_time, "channel": channel, "beam_origin": beam_origin,
+        "flightline": flightline, "return_number": return_number,
+    }  # fmt: skip
+    table, known = _looked_at(xyz, of_shots, chosen, water)
+    given = None
+    if noise_density is not None:
+        given = values_of("noise_density", noise_density, len(table))
+    labels = _filtered(table, given, known, chosen)
     return replace(labels, warnings=(*coarse(xyz), *labels.warnings))
 
 
@@ -158,77 +161,45 @@ def expected_noise(
         As for :func:`filter_points`, and where ``at`` is given without times.
     """
     chosen = settings_of(settings, sensor)
-    table = _table(xyz, gps_time, channel, flightline)
-    origin = _origins(beam_origin, table, timed=gps_time is not None)
-    if gps_time is None or not len(table):
+    of_shots = {
+        "gps_time": gps_time, "channel": channel, "beam_origin": beam_origin,
+        "flightline": flightline,
+    }  # fmt: skip
+    table, known = _looked_at(xyz, of_shots, chosen)
+    if known is None:
         if at is not None:
             raise InputError(
                 "at", "noise elsewhere needs beams; give gps_time, channel and beam_origin"
             )
         return _of_cloud(table)
-    known = assess(table, origin, chosen)
-    places = known.table if at is None else points_of(at)
+    places = table if at is None else points_of(at)
     noise = NoiseInAir(known.model([places[axis] for axis in "xyz"], chosen))
     return ExpectedNoise(noise.local(places), noise.mean(places), known.basis, known.warnings)
 
 
-def _table(
+def _looked_at(
     xyz: ArrayLike,
-    gps_time: ArrayLike | None,
-    channel: ArrayLike | None,
-    flightline: ArrayLike | None,
-    return_number: ArrayLike | None = None,
+    of_shots: Mapping[str, ArrayLike | None],
+    settings: Workflow,
     water: ArrayLike | None = None,
-) -> PointTable:
-    """Points in the caller's order with all that shots and a canonical order need."""
-    if gps_time is None:
-        for name, values in (("channel", channel), ("flightline", flightline)):
-            if values is not None:
-                raise InputError(name, "it tells shots apart with gps_time alone; give both")
-    table = points_of(
-        xyz,
-        water=water,
-        gps_time=np.float64(0.0) if gps_time is None else np.asarray(gps_time, np.float64),
-        channel=_whole("channel", channel, 255, np.uint8),
-        return_number=_whole("return_number", return_number, 255, np.uint8),
-        point_source_id=_whole("flightline", flightline, 65_535, np.uint16),
-        source=np.uint64(0),
-        index=np.arange(len(np.atleast_1d(np.asarray(xyz))), dtype=np.uint32),
-    )
-    require_metres(table)
-    if gps_time is not None:
-        require_shots(table["gps_time"])
-    return table
-
-
-def _whole(name: str, values: ArrayLike | None, most: int, dtype: Any) -> NDArray[Any]:
-    """Numbers of a column; 0 where there are none."""
-    found = np.asarray(0 if values is None else values)
-    if found.size and not (
-        np.all(found == np.rint(found)) and found.min() >= 0 and found.max() <= most
-    ):
-        raise InputError(
-            name, f"values from {found.min():g} to {found.max():g}; whole numbers from 0 to {most}"
-        )
-    return found.astype(dtype)
-
-
-def _origins(
-    given: ArrayLike | None, table: PointTable, *, timed: bool
-) -> NDArray[np.float64] | None:
-    """Positions of the sensor as (n, 3), None where the caller knows none."""
-    if given is None:
-        return None
-    if not timed:
-        raise InputError("beam_origin", "beams belong to shots; give gps_time as well")
-    origin = np.asarray(given, np.float64)
-    if origin.shape not in {(3,), (len(table), 3)}:
-        raise InputError(
-            "beam_origin",
-            f"an array of shape {origin.shape}; give (3,), or ({len(table)}, 3): the sensor's "
-            "position at the shot of each point [m]",
-        )
-    return np.ascontiguousarray(np.broadcast_to(origin, (len(table), 3)))
+) -> tuple[PointTable, Assessed | None]:
+    """Points in the caller's order with all that a canonical order needs, and what shots tell."""
+    known = {name: values for name, values in of_shots.items() if values is not None}
+    timed = "gps_time" in known
+    for name in ("channel", "flightline", "beam_origin"):
+        if name in known and not timed:
+            raise InputError(name, "it is of shots, which times alone show; give gps_time as well")
+    origin = known.pop("beam_origin", None)
+    none = dict.fromkeys(("gps_time", "channel", "flightline", "return_number"), 0)
+    table = points_of(xyz, water=water, **{**none, **known})
+    count = len(table)
+    table = table.with_columns(source=np.zeros(count, np.uint64), index=np.arange(count))
+    if not timed or not count:
+        return table, None
+    require_shots(table["gps_time"])
+    places = None if origin is None else values_of("beam_origin", origin, count)
+    found = assess(table, places, settings)
+    return found.table, found
 
 
 def _filtered(

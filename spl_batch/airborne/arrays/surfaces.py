@@ -1,6 +1,5 @@
 """Ground points and rasters of an array, by the ground cells of a run."""
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -12,18 +11,19 @@ from spl_batch.airborne.arrays.checked import (
     box_of,
     points_of,
     refuse_large,
-    require_metres,
     settings_of,
+    values_of,
 )
 from spl_batch.airborne.arrays.compiling import telling
 from spl_batch.airborne.arrays.empty_space import empty_space
 from spl_batch.airborne.arrays.labels import Labels
 from spl_batch.airborne.ground.ground_methods import ground_mask
-from spl_batch.airborne.plan.grid import Grid
+from spl_batch.airborne.plan.grid import Grid, require_whole_cells
 from spl_batch.airborne.plan.task_memory import RASTER_BYTES
 from spl_batch.airborne.products import surface_points, surface_rasters
 from spl_batch.airborne.products.cell_values import shape_of
 from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.airborne.store.raster_cells import placed
 from spl_batch.constants import (
     NODATA,
     NOISE_BACKGROUND,
@@ -33,7 +33,7 @@ from spl_batch.constants import (
 )
 from spl_batch.errors import InputError, grouped, needed
 from spl_batch.lattice.tables import PointFlag, PointTable
-from spl_batch.lattice.tiles import Bounds, CellId, grow, inside, quanta, shared, whole_cells
+from spl_batch.lattice.tiles import Bounds, CellId, grow, inside, quanta, whole_cells
 
 LAYERS_BYTES: Final = 16
 """Memory of a cell of the four rasters [byte]."""
@@ -190,28 +190,18 @@ def rasterize(
         If a setting is unknown or wrong.
     """
     workflow = settings_of(settings, products={"cell_m": cell_m})
+    require_whole_cells(workflow)
     table = _labelled(xyz, labels, water)
     if not len(table):
         raise InputError("xyz", "no point, so there is nothing to make rasters of")
     if ground is None:
         ground = ground_points(xyz, labels, water=water, settings=settings)
-    is_ground = np.asarray(ground)
-    if is_ground.shape != (len(table),):
-        raise InputError("ground", f"shape {is_ground.shape}; give one value for each point")
-    table = table.with_columns(ground=is_ground.astype(np.uint8))
+    table = table.with_columns(ground=values_of("ground", ground, len(table)))
     if "noise_density" not in table and (table["noise_class"] == NOISE_BACKGROUND).any():
         # What was refused shows that there is noise, and the cloud's empty space how much.
         density = empty_space(*(table[axis] for axis in "xyz")).density
         table = table.with_columns(noise_density=density.astype(np.float32))
-    size = quanta(workflow.products.cell_m)
-    edge = quanta(workflow.ground.cell_m)
-    exact = math.isclose(size * QUANTUM_M, workflow.products.cell_m)
-    if size == 0 or edge % size or not exact:
-        raise InputError(
-            "cell_m",
-            f"{workflow.products.cell_m:g} m; {edge * QUANTUM_M:g} m, the edge of ground.cell_m, "
-            f"is to be a whole multiple of it, and it of {QUANTUM_M:g} m",
-        )
+    size, edge = quanta(workflow.products.cell_m), quanta(workflow.ground.cell_m)
     whole = whole_cells(box_of(table), size)
     rows, cols = shape_of(whole, size)
     reach = quanta(surface_rasters.reach_m(workflow.products))
@@ -229,7 +219,9 @@ def rasterize(
             shown, core, workflow.products, workflow.sensor.range_sigma_m
         )
         for name, layer in layers.items():
-            _paste(layer, whole, made[name], core, size)
+            row, column, part = placed(made[name], core, whole)
+            cut = np.where(part == np.float32(NODATA), np.float32(np.nan), part)
+            layer[row : row + len(cut), column : column + cut.shape[1]] = cut
     return Rasters(
         **layers,
         west_m=whole.xmin * QUANTUM_M,
@@ -243,19 +235,16 @@ def _labelled(
 ) -> PointTable:
     """Points with what is known of their noise."""
     table = points_of(xyz, water=water)
-    require_metres(table)
     of_shots: dict[str, NDArray[np.float32]] = {}
     if isinstance(labels, Labels):
-        noise_class = labels.noise_class
+        given = labels.noise_class
         names = ("afterpulse", "range_sigma", "noise_density")
         of_shots = {name: getattr(labels, name) for name in names}
     else:
-        noise_class = np.asarray(NOISE_SIGNAL if labels is None else labels)
-        if noise_class.dtype == np.bool_:
-            noise_class = np.where(noise_class, NOISE_SIGNAL, 1)
-    if noise_class.shape not in {(), (len(table),)}:
-        raise InputError("labels", f"shape {noise_class.shape}; give one for each point of xyz")
-    noise_class = np.broadcast_to(noise_class, (len(table),))
+        given = np.asarray(NOISE_SIGNAL if labels is None else labels)
+        if given.dtype == np.bool_:
+            given = np.where(given, NOISE_SIGNAL, NOISE_BACKGROUND)
+    noise_class = values_of("labels", given, len(table))
     unseen = (noise_class == NOISE_NOT_ASSESSED) * np.uint8(PointFlag.NO_BEAM)
     columns = {"noise_class": noise_class, "flags": table["flags"] | unseen}
     return table.with_columns(**columns, **of_shots)
@@ -279,19 +268,3 @@ def _cells(
         rows = np.sort(order[slice(*span.tolist())])
         rows = rows[inside(x[rows], y[rows], wide)]
         yield core, rows
-
-
-def _paste(
-    layer: NDArray[np.float32], whole: Bounds, part: NDArray[np.float32], core: Bounds, size: int
-) -> None:
-    """Put the raster of a cell into the whole one, north up, NaN for nodata."""
-    west, south, east, north = shared(core, whole)
-    of_part, of_layer = (
-        (
-            slice((region.ymax - north) // size, (region.ymax - south) // size),
-            slice((west - region.xmin) // size, (east - region.xmin) // size),
-        )
-        for region in (core, whole)
-    )
-    cut = part[of_part]
-    layer[of_layer] = np.where(cut == np.float32(NODATA), np.float32(np.nan), cut)

@@ -10,12 +10,7 @@ from typing import Final, get_args
 
 from pydantic import Field
 
-from spl_batch.airborne.compare.contrast import (
-    FAR_M,
-    Contrast,
-    Outcome,
-    contrast,
-)
+from spl_batch.airborne.compare.contrast import FAR_M, Contrast, Outcome, contrast
 from spl_batch.airborne.filter.denoise import METHODS as FILTERS
 from spl_batch.airborne.filter.published import OF_SHOTS
 from spl_batch.airborne.ground.ground_methods import METHODS as GROUND
@@ -26,19 +21,13 @@ from spl_batch.airborne.report.verdicts import noise_removed, photon_counting
 from spl_batch.airborne.settings import AfterpulseSettings, FilterSettings
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.report import style
-from spl_batch.engine.report.number_format import (
-    as_ascii,
-    percent,
-    share,
-    significant,
-)
+from spl_batch.engine.report.number_format import as_ascii, percent, share, significant
 from spl_batch.engine.report.page import Compared, ComparedMethod, write_comparison
 from spl_batch.engine.report.parts import Count, Number
 from spl_batch.engine.report.picture import Picture
 from spl_batch.engine.verbs.comparing import Methods, folder_of, per_million
 from spl_batch.engine.verbs.reporting import recalled
 from spl_batch.formats.rasters.parts import read_overview
-from spl_batch.lattice.tiles import Bounds
 
 
 class MethodResult(ComparedMethod):
@@ -163,10 +152,7 @@ def _row(report: ComparisonReport, method: MethodResult) -> tuple[str, ...]:
 
 def _write(output: Path, reports: Mapping[str, Report]) -> ComparisonReport:
     """Gather the table and the pictures, and write them."""
-    runs = {}
-    for name in reports:
-        done, context, _ = recalled(output / folder_of(name))
-        runs[name] = Outcome(done, context)
+    runs = {name: Outcome(*recalled(output / folder_of(name))[:2]) for name in reports}
     found = contrast(list(runs.values()))
     first = next(iter(reports.values()))
     # Ground methods share the filter, or have none: they say nothing of noise.
@@ -219,29 +205,29 @@ def _result(name: str, report: Report, found: Contrast, k: int) -> MethodResult:
 
 
 def _pictures(runs: Mapping[str, Outcome], found: Contrast) -> Iterator[Picture]:
-    """The strip where most stands on the ground, and the one that is most disputed."""
-    path = next(iter(runs.values())).context.output / "chm.tif"
-    if path.exists():
-        yield _picture(
+    """Profiles of the strip where most stands on the ground, and of the most disputed one."""
+    heights = next(iter(runs.values())).context.output / "chm.tif"
+    strips = (
+        (
             "Where most stands on the ground",
             "Look for wires, roof edges and crowns as signal, and for noise left between them.",
-            runs, tallest_strip(read_overview(path)),
-        )  # fmt: skip
-    if found.disputed is not None:
-        yield _picture(
+            tallest_strip(read_overview(heights)) if heights.exists() else None,
+        ),
+        (
             "Where the filters disagree most",
             "Look for what is signal to one filter and noise to another near the surface.",
-            runs, found.disputed,
-        )  # fmt: skip
-
-
-def _picture(title: str, caption: str, runs: Mapping[str, Outcome], strip: Bounds) -> Picture:
-    """Profiles of a strip by method."""
-    cut = {name: read_strip(strip, run.done, run.context) for name, run in runs.items()}
-    profiles = {name: profile for name, profile in cut.items() if profile is not None}
-    if not profiles:
-        return Picture(title, "No strip of the survey holds points to show.")
-    return style.picture(draw_methods(profiles), title, caption)
+            found.disputed,
+        ),
+    )
+    for title, caption, strip in strips:
+        if strip is None:
+            continue
+        cut = {name: read_strip(strip, run.done, run.context) for name, run in runs.items()}
+        profiles = {name: profile for name, profile in cut.items() if profile is not None}
+        if profiles:
+            yield style.picture(draw_methods(profiles), title, caption)
+        else:
+            yield Picture(title, "No strip of the survey holds points to show.")
 
 
 METHODS: Final = Methods(

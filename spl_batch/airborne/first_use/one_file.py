@@ -23,15 +23,17 @@ from spl_batch.airborne.first_use.clouds import (
 from spl_batch.airborne.plan.inputs.survey_inputs import NO_POINTS
 from spl_batch.airborne.plan.task_memory import STRETCH_POINTS
 from spl_batch.airborne.precompile import compiling
+from spl_batch.airborne.report.verdicts import count_rows
 from spl_batch.airborne.settings.workflow import Workflow, load_workflow
 from spl_batch.engine.plan.input_files import matching
-from spl_batch.engine.report.number_format import as_ascii, of_all
+from spl_batch.engine.report.number_format import as_ascii
 from spl_batch.engine.settings.mistaken_file import refuse_urls
 from spl_batch.engine.store.working_store import Store, read_json, read_receipts, write_json
+from spl_batch.engine.tasks.input_changes import stamp
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs.running import RunResult, run
 from spl_batch.engine.watch.events import Listener, Note, ignore
-from spl_batch.errors import DamagedError, InputError, WorkflowError, grouped
+from spl_batch.errors import DamagedError, InputError, WorkflowError
 from spl_batch.formats.files.atomic import real_path, remove, replacing, write_bytes
 
 WORK: Final = ".work"
@@ -147,7 +149,7 @@ def denoise(
         told = ("attention", f"nothing was delivered, as told above; {folder} has the log")
         return RunResult(found.exit_status, folder, None, (told,))
     moves = dict(_moves(found.output, delivered[0], cloud, raster))
-    write_json(folder / _MOVED, {str(real_path(to)): _stamp(path) for path, to in moves.items()})
+    write_json(folder / _MOVED, {str(real_path(to)): stamp(path) for path, to in moves.items()})
     rows = (*_counts(delivered[0], ground=ground),)
     if found.exit_status:
         rows += (("attention", f"a part failed; the same command tries it again in {folder}"),)
@@ -198,7 +200,7 @@ def _refuse(
             raise WorkflowError(f"{path}: write a name that ends in {suffix}{but}")
         if path.exists() and source.exists() and path.samefile(source):
             raise WorkflowError(f"{path}: this is the input; name another file")
-        mine = path.exists() and own.get(str(real_path(path))) == _stamp(path)
+        mine = path.exists() and own.get(str(real_path(path))) == [*stamp(path)]
         if path.exists() and not force and not mine:
             raise WorkflowError(f"{path} is there already; name another file, or add --force")
 
@@ -222,11 +224,6 @@ def _moved(folder: Path) -> Mapping[str, list[int]]:
         return read_json(folder / _MOVED)
     except DamagedError:
         return {}
-
-
-def _stamp(path: Path) -> list[int]:
-    stat = path.stat()
-    return [stat.st_size, stat.st_mtime_ns]
 
 
 def _as_linear_mode(source: Path, cloud: Path, signs: str) -> str:
@@ -307,15 +304,14 @@ def _moves(
 
 def _counts(delivered: Receipt, *, ground: bool) -> Iterator[tuple[str, str]]:
     """How many points there are of each kind."""
-    kinds = {int(kind): n for kind, n in delivered.facts["noise_class"].items()}
-    names = {0: "signal", 1: "background noise", 2: "afterpulses", 255: "not assessed"}
-    counts = [(name, kinds.get(kind, 0)) for kind, name in names.items()]
+    found = delivered.facts["noise_class"]
+    names = {"0": "signal", "1": "background noise", "2": "afterpulses", "255": "not assessed"}
+    kinds = [(name, found.get(kind, 0)) for kind, name in names.items()]
+    if not kinds[-1][1]:
+        del kinds[-1]
     if ground:
-        counts.append(("ground", delivered.facts["assessed"].get("2", 0)))
+        kinds.append(("ground", delivered.facts["assessed"].get("2", 0)))
     dropped = sum(delivered.facts.get("dropped", {}).values())
     whole = delivered.points + dropped
-    left_out = f", {grouped(dropped)} dropped" if dropped else ""
-    yield "points", f"{grouped(whole)} in, {grouped(delivered.points)} out{left_out}"
-    for name, n in counts:
-        if n or name != "not assessed":
-            yield name, f"{grouped(n)} ({as_ascii(of_all(n, whole))})"
+    for label, value in count_rows(whole, delivered.points, kinds, dropped):
+        yield label, as_ascii(value)

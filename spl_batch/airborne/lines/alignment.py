@@ -58,7 +58,7 @@ class AlignedLine:
 
 
 def align_lines(
-    names: Sequence[str], pairs: Sequence[StripPair], returns: Mapping[str, int]
+    names: Sequence[str], pairs: Sequence[StripPair], returns: Mapping[str, float]
 ) -> list[AlignedLine]:
     """Shifts of flightlines, by name, from :func:`~spl_batch.airborne.lines.pair_table.pair_table`.
 

@@ -4,7 +4,6 @@ A shift in height changes the height between two flightlines and nothing else of
 an alignment leaves follows from the same patches.
 """
 
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, Final, NamedTuple
@@ -19,14 +18,13 @@ from spl_batch.airborne.lines.pair_table import StripPair, pair_table
 from spl_batch.airborne.lines.patches import (
     COLUMNS_NEEDED,
     EDGE_M,
-    MOST_LINES,
+    MIN_RETURNS_PER_PATCH,
     Patches,
     find_patches,
     region,
-    seen_lines,
 )
 from spl_batch.airborne.store.cells import Cell
-from spl_batch.airborne.store.flown_lines import SHIFTS, Pass, Shifts, read_shifts
+from spl_batch.airborne.store.flown_lines import LINES, SHIFTS, Pass, Shifts, read_shifts
 from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.number_format import as_ascii, height
@@ -36,98 +34,87 @@ from spl_batch.errors import grouped
 from spl_batch.formats.rasters.parts import RasterPart
 from spl_batch.formats.units import Units
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
-from spl_batch.lattice.tables import EXCLUDED, PointTable
+from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import quanta
 
 MAP_CELLS = 500
 """Cells of the map of differences along its longer side, at most [count]."""
 
-
 NEXT_TO: Final = 0.1
 """Part of the larger of two horizontal differences below which the smaller is not told."""
-
-
-class _Cell(NamedTuple):
-    """A ground cell."""
-
-    names: list[str]  #: Flightlines that are compared.
-    returns: list[int]  #: Signal returns of each [count].
-    overlaps: list[list[int]]  #: Pairs that overlap, by their places in ``names``.
-    patches: Patches
 
 
 def strip_patches(args: Mapping[str, Any], context: Context) -> Produced:
     """Find planar patches of a ground cell that flightlines share."""
     cell = Cell.of(args, context)
-    table, _ = cell.read(region(cell.core), (*COLUMNS_NEEDED, "noise_class", "flags"), _signal)
-    names = {one.number: one.name for one in (Pass(*fields) for fields in args["lines"])}
-    seen = seen_lines(table["line"])
-    found, overlaps = find_patches(table, seen, cell.core)
-    of_lines = {
-        # points without times have no flightline but that of their id
-        "names": np.array([names.get(k, f"{k:05d}") for k in seen.numbers.tolist()], np.str_),
-        "line_returns": seen.returns,
-        "overlaps": np.array(sorted(overlaps), np.int64).reshape(-1, 2),
-    }
+    table, _ = cell.read(region(cell.core), (*COLUMNS_NEEDED, "noise_class"), _signal)
+    found, overlaps = find_patches(table, cell.core)
+    returns = np.bincount(table["line"])
+    seen = np.flatnonzero(returns >= MIN_RETURNS_PER_PATCH)
+    of_lines = {"lines": seen, "line_returns": returns[seen], "overlaps": overlaps}
     path = context.store.path("overlaps", f"{args['cell']}.npz")
     write_arrays(path, {**found, **of_lines})
-    return Produced([path], {"patches": len(found["rise"]), "left_out": seen.left_out})
+    return Produced([path], {"patches": len(found["rise"])})
 
 
 def _signal(table: PointTable) -> NDArray[np.bool_]:
-    """Which points are compared."""
-    found: NDArray[np.bool_] = (table["noise_class"] == NOISE_SIGNAL) & ~table.has(EXCLUDED)
+    """Which points are compared: withheld ones and a vendor's noise are not assessed."""
+    found: NDArray[np.bool_] = table["noise_class"] == NOISE_SIGNAL
     return found
 
 
 def align(args: Mapping[str, Any], context: Context) -> Produced:
     """Find by how much each flightline is shifted, and leave it for all who read its points."""
-    flown = {one.name: one for one in (Pass(*fields) for fields in args["lines"])}
-    cells = [_read_cell(name, context) for name in args["cells"]]
-    for name in {name for cell in cells for name in cell.names} - flown.keys():
-        flown[name] = Pass(int(name), name, int(name), -np.inf, np.inf)  # without times
-    pairs = pair_table((cell.names, cell.patches) for cell in cells)
-    shifts = align_lines([*flown], pairs, _returns(cells))
+    found = _read_cells(args, context)
+    weights = {name: found.returns[number] for number, name in found.names.items()}
+    shifts = align_lines([*weights], pair_table(found.patches, found.names), weights)
     up_q = np.array([quanta(one.up_m) for one in shifts], np.int32)
     path = context.store.path(*SHIFTS)
-    write_arrays(path, Shifts([flown[one.name] for one in shifts], up_q).to_arrays())
-    facts = {
-        "name": "survey.align",
-        "shifts": [asdict(one) for one in shifts],
-        "findings": [*stay_findings(shifts)],
-    }
-    return Produced([path], facts)
+    write_arrays(path, Shifts(found.passes, up_q).to_arrays())
+    facts = {"shifts": [asdict(one) for one in shifts], "findings": [*stay_findings(shifts)]}
+    return Produced([path], {"name": "survey.align", **facts})
 
 
 def strip_pairs(args: Mapping[str, Any], context: Context) -> Produced:
     """Put the patches of all cells together, pair by pair; a map of their differences."""
-    cells = [_read_cell(name, context) for name in args["cells"]]
-    lines = read_shifts(args, context.store)
-    if lines is not None:
-        cells = [_shifted(cell, lines) for cell in cells]
-    pairs = pair_table((cell.names, cell.patches) for cell in cells)
+    found = _read_cells(args, context)
+    patches, names = found.patches, found.names
+    shifts = read_shifts(args, context.store)
+    if shifts is not None:
+        up_q = shifts.of(patches["second"]) - shifts.of(patches["first"])
+        patches["rise"] += up_q * QUANTUM_M
+    pairs = pair_table(patches, names)
     path = context.store.path("overlaps", "map.npz")
-    write_arrays(path, _map([cell.patches for cell in cells]))
-    known = {(one.first, one.second) for one in pairs}
-    lacking = sorted(_overlaps(cells) - known)
+    write_arrays(path, _map(patches))
+    overlaps = {tuple(sorted(names[k] for k in two)) for two in found.overlaps.tolist()}
+    lacking = sorted(overlaps - {(one.first, one.second) for one in pairs})
     return Produced([path], {"pairs": [asdict(pair) for pair in pairs], "not_compared": lacking})
 
 
-def _read_cell(name: str, context: Context) -> _Cell:
-    """What :func:`strip_patches` has left of a ground cell."""
-    arrays = read_arrays(context.store.path("overlaps", f"{name}.npz"))
-    names, returns, overlaps = (
-        arrays.pop(key).tolist() for key in ("names", "line_returns", "overlaps")
-    )
-    return _Cell(names, returns, overlaps, arrays)
+class _Cells(NamedTuple):
+    """What :func:`strip_patches` has left of all ground cells."""
+
+    passes: list[Pass]  #: Flightlines, by name.
+    returns: NDArray[np.float64]  #: (LINES,): signal returns of each, by its number [count].
+    overlaps: NDArray[np.int64]  #: (m, 2): numbers of those that overlap in a cell.
+    patches: Patches
+
+    @property
+    def names(self) -> dict[int, str]:
+        """Names of flightlines, by number."""
+        return {one.number: one.name for one in self.passes}
 
 
-def _shifted(cell: _Cell, lines: Shifts) -> _Cell:
-    """A ground cell whose flightlines have got their shifts."""
-    up = np.array([lines.of_name(name) for name in cell.names]) * QUANTUM_M
-    patches = cell.patches
-    rise = patches["rise"] + up[patches["second"]] - up[patches["first"]]
-    return cell._replace(patches={**patches, "rise": rise})
+def _read_cells(args: Mapping[str, Any], context: Context) -> _Cells:
+    cells = [read_arrays(context.store.path("overlaps", f"{name}.npz")) for name in args["cells"]]
+    whole = {key: np.concatenate([cell[key] for cell in cells]) for key in cells[0]}
+    lines, returns, overlaps = (whole.pop(key) for key in ("lines", "line_returns", "overlaps"))
+    # Points without times have no flightline but that of their id.
+    flown = {k: Pass(k, f"{k:05d}", k, -np.inf, np.inf) for k in lines.tolist()}
+    flown |= {one.number: one for one in (Pass(*fields) for fields in args["lines"])}
+    passes = sorted(flown.values(), key=lambda one: one.name)
+    total = np.bincount(lines, returns, minlength=LINES).astype(np.float64)
+    return _Cells(passes, total, overlaps, whole)
 
 
 def shifts_of(receipts: Iterable[Receipt]) -> tuple[AlignedLine, ...]:
@@ -151,25 +138,9 @@ def difference_map(context: Context) -> RasterPart | None:
     return RasterPart(arrays["values"], *arrays["place_m"].tolist())
 
 
-def _returns(cells: Iterable[_Cell]) -> Counter[str]:
-    """Signal returns of each flightline [count]."""
-    found: Counter[str] = Counter()
-    for cell in cells:
-        found.update(dict(zip(cell.names, cell.returns, strict=True)))
-    return found
-
-
-def _overlaps(cells: Iterable[_Cell]) -> set[tuple[str, str]]:
-    """Pairs of flightlines that overlap in a cell, the lesser name first."""
-    pairs = [(cell.names[one], cell.names[other]) for cell in cells for one, other in cell.overlaps]
-    return {(min(pair), max(pair)) for pair in pairs}
-
-
-def _map(cells: Sequence[Patches]) -> dict[str, NDArray[Any]]:
+def _map(patches: Patches) -> dict[str, NDArray[Any]]:
     """Median height between flightlines by place, whichever lies above, north-up [m]."""
-    east, north, rise = (
-        np.concatenate([cell[k] for cell in cells] or [np.empty(0)]) for k in ("x", "y", "rise")
-    )
+    east, north, rise = patches["x"], patches["y"], patches["rise"]
     if not len(rise):
         return {"values": np.empty((0, 0), np.float32), "place_m": np.zeros(3)}
     edge = 2 * EDGE_M
@@ -191,10 +162,10 @@ def offset_warnings(pairs: Sequence[StripPair], align: str = "none") -> Iterator
     ``align``: how flightlines were shifted before they were compared. It names the worst pair, as
     one flightline that lies off is off from all others; the report has all pairs.
     """
-    off = [(away, pair) for pair in pairs if (away := _away(pair)) > 0]
+    off = [pair for pair in pairs if _away(pair) > 0]
     if not off:
         return
-    _, pair = min(off, key=lambda found: (-found[0], found[1].first, found[1].second))
+    pair = max(off, key=_away)  # of equals the first by name
     values = {
         "pairs": len(off),
         "of": len(pairs),
@@ -209,27 +180,10 @@ def offset_warnings(pairs: Sequence[StripPair], align: str = "none") -> Iterator
     yield Finding("S01", values, place=(*pair.centre_m, *pair.centre_m))
 
 
-def left_out_warnings(left_out: Mapping[str, int]) -> Iterator[Finding]:
-    """Where a ground cell holds more flightlines than are compared.
-
-    ``left_out``: flightlines that are not compared, of each ground cell [count].
-    """
-    cells = {cell: count for cell, count in left_out.items() if count}
-    if cells:
-        worst = max(sorted(cells), key=lambda cell: cells[cell])
-        values = {
-            "kind": "passes", "cells": len(cells), "most": MOST_LINES,
-            "worst": cells[worst] + MOST_LINES, "cell": worst,
-        }  # fmt: skip
-        yield Finding("S02", values)
-
-
 def _away(pair: StripPair) -> float:
     """How far a pair is off, in parts of its ranging noise; 0 where it is not."""
-    vertical = abs(pair.up_m) if pair.is_off_vertically else 0.0
-    horizontal = 0.0
-    if pair.is_off_horizontally and pair.east_m is not None and pair.north_m is not None:
-        horizontal = float(np.hypot(pair.east_m, pair.north_m))
+    vertical = abs(pair.up_m) * pair.is_off_vertically
+    horizontal = pair.horizontal_m * pair.is_off_horizontally
     return max(vertical, horizontal) / max(pair.noise_m, 1e-3)
 
 
@@ -248,9 +202,9 @@ def _parts(pair: StripPair) -> Iterator[tuple[float, str]]:
     """Differences that count [m], and which way each is."""
     if pair.is_off_vertically:
         yield abs(pair.up_m), "higher" if pair.up_m > 0 else "lower"
-    if pair.is_off_horizontally and pair.east_m is not None and pair.north_m is not None:
-        ways = ((pair.east_m, "east", "west"), (pair.north_m, "north", "south"))
-        least = NEXT_TO * max(abs(pair.east_m), abs(pair.north_m))
+    if pair.is_off_horizontally:
+        ways = ((pair.east_m or 0.0, "east", "west"), (pair.north_m or 0.0, "north", "south"))
+        least = NEXT_TO * max(abs(way_m) for way_m, *_ in ways)
         for way_m, ahead, back in ways:
             if abs(way_m) >= least:
                 yield abs(way_m), f"farther {ahead if way_m > 0 else back}"
@@ -267,13 +221,8 @@ def stay_findings(lines: Sequence[AlignedLine]) -> Iterator[Finding]:
 
 
 def done_sentence(lines: Sequence[AlignedLine], units: Units) -> str:
-    """What a run has added to the heights of flightlines; ``units``: of delivery."""
+    """What a run has added to the heights of flightlines, one at least; ``units``: of delivery."""
     shifted = [one for one in lines if not one.stays]
-    if not shifted:
-        return (
-            "no flightline is shifted (survey.align: vertical): each shift that was found is "
-            "within its own error"
-        )
     noun = "flightlines was" if len(shifted) == 1 else "flightlines were"
     most = as_ascii(height(max(abs(one.up_m) for one in shifted), units.of_heights))
     return (

@@ -8,8 +8,8 @@ covariance is taken from the normal equations (W. A. Fuller, 1987, *Measurement 
 section 2.2). A horizontal part that is not determined is not told.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from collections.abc import Mapping
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,8 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 from scipy.special import ndtr, stdtrit
 
-from spl_batch.airborne.lines.patches import FLAT, Patches
+from spl_batch.airborne.lines.patches import FLAT, Patches, rows_of
+from spl_batch.airborne.store.flown_lines import LINES
 from spl_batch.engine.report.parts import STRICT, Count, Measured, Number
 
 FEWEST: Final = 10
@@ -96,50 +97,40 @@ class StripPair:
         return abs(self.up_m) > max(self.noise_m, 3 * self.up_sd_m)
 
     @property
+    def horizontal_m(self) -> float:
+        """Length of the horizontal difference [m]; 0 where none is told."""
+        return float(np.hypot(self.east_m or 0.0, self.north_m or 0.0))
+
+    @property
     def is_off_horizontally(self) -> bool:
         """The same for the horizontal difference; few squares tell no small one."""
-        if self.east_m is None or self.north_m is None or self.horizontal_sd_m is None:
+        if self.horizontal_sd_m is None:
             return False
-        away = float(np.hypot(self.east_m, self.north_m))
-        sure = min(student_t(self.squares - UNKNOWNS) * self.horizontal_sd_m, FEW_M)
-        return away > max(self.noise_m, 3 * self.horizontal_sd_m, sure)
+        # Standard deviations that hold what three of a normal distribution hold.
+        freedom = self.squares - UNKNOWNS
+        sure_sd = float(stdtrit(freedom, ndtr(3.0))) if freedom > 0 else np.inf
+        sure = min(sure_sd * self.horizontal_sd_m, FEW_M)
+        return self.horizontal_m > max(self.noise_m, 3 * self.horizontal_sd_m, sure)
 
 
-def student_t(freedom: int) -> float:
-    """Standard deviations that hold what three of a normal distribution hold."""
-    return float(stdtrit(freedom, ndtr(3.0))) if freedom > 0 else np.inf
+def pair_table(patches: Patches, names: Mapping[int, str]) -> list[StripPair]:
+    """Differences of all pairs of flightlines that share enough patches, by their names.
 
-
-def pair_table(cells: Iterable[tuple[Sequence[str], Patches]]) -> list[StripPair]:
-    """Differences of all pairs of flightlines that share enough patches.
-
-    ``cells``: of each ground cell the names of its flightlines, and its patches.
+    ``patches``: of all ground cells; ``names``: of flightlines, by number.
     """
-    parts: dict[tuple[str, str], list[Patches]] = {}
-    for names, patches in cells:
-        for (first, second), mine in _by_pair(names, patches):
-            parts.setdefault((first, second), []).append(mine)
+    pair = patches["first"] * LINES + patches["second"]
+    order = np.argsort(pair, kind="stable")
     found = []
-    for (first, second), listed in sorted(parts.items()):
-        whole = {k: np.concatenate([part[k] for part in listed]) for k in listed[0]}
-        if len(whole["rise"]) >= FEWEST:
-            found.append(_difference(first, second, whole))
-    return found
-
-
-def _by_pair(names: Sequence[str], patches: Patches) -> Iterable[tuple[tuple[str, str], Patches]]:
-    """Patches of a cell by flightlines, the lesser name first; none of one with itself."""
-    pairs = np.stack([patches["first"], patches["second"]], axis=1)
-    for one, other in np.unique(pairs, axis=0).tolist():
-        first, second = names[one], names[other]
-        if first == second:
+    for mine in np.split(order, np.flatnonzero(np.diff(pair[order])) + 1):
+        if len(mine) < FEWEST:
             continue
-        mine = np.flatnonzero((pairs == (one, other)).all(axis=1))
-        chosen = {k: v[mine] for k, v in patches.items()}
+        chosen = rows_of(patches, mine)
+        first, second = (names[int(chosen[key][0])] for key in ("first", "second"))
         if first > second:
             first, second = second, first
             chosen["rise"] = -chosen["rise"]
-        yield (first, second), chosen
+        found.append(_difference(first, second, chosen))
+    return sorted(found, key=lambda one: (one.first, one.second))
 
 
 def _difference(first: str, second: str, patches: Patches) -> StripPair:
@@ -154,7 +145,7 @@ def _difference(first: str, second: str, patches: Patches) -> StripPair:
         patches=len(area),
         area_m2=float(area.sum()),
         centre_m=(x_m, y_m),
-        **fit_shift(patches)._asdict(),
+        **fit_shift(patches),
         flat_patches=len(flat),
         rmsd_z_m=float(np.sqrt(np.mean(flat**2))) if len(flat) else None,
         noise_m=noise,
@@ -162,18 +153,11 @@ def _difference(first: str, second: str, patches: Patches) -> StripPair:
     )
 
 
-class Shift(NamedTuple):
-    """Where a flightline lies against another, and how surely [m]; None what nothing tells."""
+def fit_shift(patches: Patches) -> dict[str, float]:
+    """Shift of the second flightline against the first, from at least one patch of both.
 
-    up_m: float
-    up_sd_m: float
-    east_m: float | None = None
-    north_m: float | None = None
-    horizontal_sd_m: float | None = None
-
-
-def fit_shift(patches: Mapping[str, NDArray[Any]]) -> Shift:
-    """Shift of the second flightline against the first, from at least one patch of both."""
+    Fields of a :class:`StripPair`, of which the horizontal ones are left out if nothing tells them.
+    """
     rise, own = patches["rise"], patches["variance"] + OWN_M**2
     design = np.stack([-patches["east"], -patches["north"], np.ones(len(rise))], axis=1)
     noise = np.zeros((len(rise), 3, 3))
@@ -182,17 +166,17 @@ def fit_shift(patches: Mapping[str, NDArray[Any]]) -> Shift:
     square = _square(patches)
     level = _robust(rise, design[:, 2:], own, noise[:, 2:, 2:], square)
     if level is None:  # one patch, or all alike: nothing to weigh
-        return Shift(float(np.median(rise)), float(np.sqrt(own.min())))
-    up, up_sd = float(level[0][0]), float(np.sqrt(level[1][0, 0]))
+        return {"up_m": float(np.median(rise)), "up_sd_m": float(np.sqrt(own.min()))}
+    vertical = {"up_m": float(level[0][0]), "up_sd_m": float(np.sqrt(level[1][0, 0]))}
     whole = _robust(rise, design, own, noise, square)
     if whole is None:
-        return Shift(up, up_sd)
+        return vertical
     found, covariance = whole
     worst = float(np.sqrt(max(np.linalg.eigvalsh(covariance[:2, :2])[-1], 0.0)))
     if worst > DETERMINED_M:
-        return Shift(up, up_sd)
-    east, north, up = found.tolist()
-    return Shift(up, float(np.sqrt(covariance[2, 2])), east, north, worst)
+        return vertical
+    shift = dict(zip(("east_m", "north_m", "up_m"), found.tolist(), strict=True))
+    return {**shift, "up_sd_m": float(np.sqrt(covariance[2, 2])), "horizontal_sd_m": worst}
 
 
 def _robust(
@@ -232,7 +216,7 @@ def _robust(
     return found, max(covariances, key=lambda covariance: float(np.trace(covariance)))
 
 
-def _square(patches: Mapping[str, NDArray[Any]]) -> NDArray[np.intp]:
+def _square(patches: Patches) -> NDArray[np.intp]:
     """Which patches lie in the same square of :data:`NEIGHBOURS_M`, by number."""
     i, j = (np.floor(patches[axis] / NEIGHBOURS_M).astype(np.int64) for axis in "xy")
     _, number = np.unique(np.stack([i, j], axis=1), axis=0, return_inverse=True)

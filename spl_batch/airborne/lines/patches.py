@@ -10,16 +10,17 @@ discrepancies in airborne laserscanner data*, PE&RS 68(9), 933-940): heights, wh
 horizontal part. He takes points of a triangulation; whole patches have a known noise.
 """
 
-import math
-from itertools import combinations
+from collections.abc import Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.store.flown_lines import LINES
 from spl_batch.constants import QUANTA_PER_M, QUANTUM_M
+from spl_batch.lattice.row_order import distinct
 from spl_batch.lattice.tables import PointTable
-from spl_batch.lattice.tiles import Bounds, quanta
+from spl_batch.lattice.tiles import Bounds, inside, quanta
 
 COLUMNS_NEEDED: Final = ("x", "y", "z", "line")
 """Columns of the points that patches are made of."""
@@ -46,10 +47,6 @@ SPREAD: Final = 0.15
 """Standard deviation of a flightline's returns in each direction, at least [edges of the patch]:
 0.29 where they lie evenly."""
 
-MOST_LINES: Final = 40
-"""Flightlines of a ground cell that are compared, those with most returns [count]: more than fly
-over one place. Memory and pairs grow with them."""
-
 FLAT: Final = 0.176
 """Slope up to which a patch counts for differences of heights: 10 degrees, as the USGS Lidar Base
 Specification has it [rise/run]."""
@@ -61,64 +58,47 @@ Patches = dict[str, NDArray[Any]]
 """Columns of patches, see :func:`find_patches`."""
 
 
-class Seen(NamedTuple):
-    """Flightlines of a region."""
+class Squares(NamedTuple):
+    """Squares of one size in which flightlines have returns, one by one, then line by line."""
 
-    #: (s,): numbers of those that are compared, rising.
-    numbers: NDArray[np.intp]
-    returns: NDArray[np.int64]  #: (s,): points of each [count].
-    left_out: int  #: Flightlines that could have patches, beyond :data:`MOST_LINES` [count].
+    row: NDArray[np.int64]  #: (k,): from the south of the region [count].
+    column: NDArray[np.int64]  #: (k,): from its west [count].
+    line: NDArray[np.int64]  #: (k,): flightline, by its number.
+    #: (k, 10): count and sums of x, y, z, xx, xy, yy, xz, yz, zz of its returns [quanta]. In sums x
+    #: and y count from the middle of the largest square around, so that they may be added up.
+    moments: NDArray[np.int64]
 
-
-def seen_lines(line: NDArray[np.uint16]) -> Seen:
-    """Flightlines that have points enough for patches; ``line``: (n,), of each point."""
-    returns = np.bincount(line)
-    able = np.flatnonzero(returns >= MIN_RETURNS_PER_PATCH)
-    most = np.sort(able[np.argsort(-returns[able], kind="stable")[:MOST_LINES]])
-    return Seen(most, returns[most], len(able) - len(most))
+    def take(self, rows: NDArray[np.intp]) -> "Squares":
+        """Some of them."""
+        return Squares(*(column[rows] for column in self))
 
 
-def find_patches(
-    table: PointTable, seen: Seen, core: Bounds
-) -> tuple[Patches, set[tuple[int, int]]]:
+def find_patches(table: PointTable, core: Bounds) -> tuple[Patches, NDArray[np.int64]]:
     """Patches of a ground cell that two flightlines share, and pairs that overlap.
 
-    Columns of a patch: ``first, second``, flightlines by their place in ``seen``; ``x, y``, its
-    middle [m]; ``edge_m``; ``rise``, the second above the first [m]; ``variance`` of it [m2];
+    Columns of a patch: ``first, second``, numbers of its flightlines, the lesser first; ``x, y``,
+    its middle [m]; ``edge_m``; ``rise``, the second above the first [m]; ``variance`` of it [m2];
     ``east, north``, slope [rise/run], and ``ee, en, nn``, its covariance; ``thickness``, standard
-    deviation about the plane [m]; ``returns``, those of both [count]. Pairs overlap that have
-    :data:`MIN_RETURNS_PER_PATCH` returns each in one of the largest squares. ``table``: signal
+    deviation about the plane [m]; ``returns``, those of both [count]. Pairs overlap, (m, 2), that
+    have :data:`MIN_RETURNS_PER_PATCH` returns each in one of the largest squares. ``table``: signal
     returns of :func:`region`; squares that begin in ``core`` are the cell's [quanta].
     """
-    whole, count = region(core), len(seen.numbers)
-    edge = quanta(EDGE_M)
-    columns, rows = (whole.xmax - whole.xmin) // edge, (whole.ymax - whole.ymin) // edge
-    none = np.zeros((0, 0), np.bool_)
-    unseen = np.zeros((0, 0, 10), np.int64)
-    _, fitted = _fitted(unseen, unseen, EDGE_M)
-    found = [_rows(fitted, none, (0, 0), whole, EDGE_M)]
-    if count < 2 or not rows or not columns:
-        return found[0], set()
-    place = np.full(int(table["line"].max()) + 1, -1, np.int64)
-    place[seen.numbers] = np.arange(count)
-    corner = (whole.xmin, whole.ymin, int(table["z"].min()))
-    x, y, z = (table[axis].astype(np.int64) - low for axis, low in zip("xyz", corner, strict=True))
-    moments = moments_of((x, y, z), place[table["line"]], (count, rows, columns))
-    pairs = list(combinations(range(count), 2))
-    free: NDArray[np.bool_] = np.ones((len(pairs), rows, columns), np.bool_)
-    for level in range(LEVELS):
-        size = EDGE_M * 2**level
-        if level:
-            moments = in_fours(moments).sum(axis=(2, 4))
-            free = np.asarray(in_fours(free).all(axis=(2, 4)))
-        for k, pair in enumerate(pairs):
-            planar, fitted = _fitted(moments[pair[0]], moments[pair[1]], size)
-            found.append(_rows(fitted, planar & free[k], pair, whole, size))
-            free[k] &= ~planar
-    full = moments[..., 0] >= MIN_RETURNS_PER_PATCH
-    overlaps = {(a, b) for a, b in pairs if (full[a] & full[b]).any()}
-    together = {name: np.concatenate([part[name] for part in found]) for name in found[0]}
-    return _thinned(together), overlaps
+    whole = region(core)
+    squares = squares_of(table, whole)
+    found = list(_shared_by(squares, EDGE_M, whole))
+    for level in range(1, LEVELS):
+        squares = in_fours(squares)
+        found += _shared_by(squares, EDGE_M * 2**level, whole)
+    met = squares.take(np.flatnonzero(squares.moments[:, 0] >= MIN_RETURNS_PER_PATCH))
+    pairs = [met.line[np.stack(rows, axis=1)] for rows in _meetings(met)]
+    overlaps = np.unique(np.concatenate([np.empty((0, 2), np.int64), *pairs]), axis=0)
+    patches = {name: np.concatenate([part[name] for part in found]) for name in found[0]}
+    return _chosen(patches), overlaps
+
+
+def rows_of(columns: Mapping[str, NDArray[Any]], rows: NDArray[np.intp]) -> Patches:
+    """Some rows of columns by name."""
+    return {name: values[rows] for name, values in columns.items()}
 
 
 def region(core: Bounds) -> Bounds:
@@ -127,46 +107,77 @@ def region(core: Bounds) -> Bounds:
     return Bounds(*(-(-end // square) * square for end in core))
 
 
-def _fitted(
-    first: NDArray[np.int64], second: NDArray[np.int64], edge_m: float
-) -> tuple[NDArray[np.bool_], Patches]:
-    """Planes of all squares with slopes in common, and which of them are patches."""
-    one, other = _centred(first), _centred(second)
-    xx, xy, yy, xz, yz, zz = (one[k] + other[k] for k in ("xx", "xy", "yy", "xz", "yz", "zz"))
-    returns = one["n"] + other["n"]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        determinant = xx * yy - xy * xy
-        east = (yy * xz - xy * yz) / determinant
-        north = (xx * yz - xy * xz) / determinant
-        square = np.maximum(zz - east * xz - north * yz, 0.0) / (returns - 4)
-        scale = square / determinant
-        ee, en, nn = yy * scale, -xy * scale, xx * scale
-        dx, dy = other["x"] - one["x"], other["y"] - one["y"]
-        rise = other["z"] - one["z"] - east * dx - north * dy
-        variance = square * (1 / one["n"] + 1 / other["n"])
-        variance += dx * dx * ee + 2 * dx * dy * en + dy * dy * nn
-        least = (SPREAD * edge_m) ** 2
-        planar = (determinant > 0) & (square <= THICKEST_M**2)
-        planar &= (one["n"] >= MIN_RETURNS_PER_PATCH) & (other["n"] >= MIN_RETURNS_PER_PATCH)
-        planar &= np.hypot(east, north) <= STEEPEST
-        for side in (one, other):
-            planar &= _narrowest(side) >= least
-    columns = {
-        "rise": rise, "variance": variance, "east": east, "north": north,
-        "ee": ee, "en": en, "nn": nn, "square": square, "returns": returns,
-    }  # fmt: skip
-    return planar, columns
+def squares_of(table: PointTable, whole: Bounds) -> Squares:
+    """Smallest squares of a region, of whole largest ones, that hold returns of flightlines."""
+    lowest = table["z"].astype(np.int64).min(initial=2**31)
+    table = table.take(inside(table["x"], table["y"], whole))
+    x, y, z = table["x"] - whole.xmin, table["y"] - whole.ymin, table["z"] - lowest
+    line, lines = distinct(table["line"])
+    edge, largest = quanta(EDGE_M), quanta(SQUARE_M)
+    columns = (whole.xmax - whole.xmin) // edge
+    held, square = distinct((y // edge * columns + x // edge) * max(len(line), 1) + lines)
+    x, y = (axis % largest - largest // 2 for axis in (x, y))
+    sums = np.zeros((len(held), 10), np.int64)
+    products = (np.ones_like(x), x, y, z, x * x, x * y, y * y, x * z, y * z, z * z)
+    for total, values in zip(sums.T, products, strict=True):
+        np.add.at(total, square, values)
+    held, lines = np.divmod(held, max(len(line), 1))
+    return Squares(*np.divmod(held, max(columns, 1)), line[lines].astype(np.int64), sums)
+
+
+def in_fours(squares: Squares) -> Squares:
+    """Squares of twice the edge, each of four."""
+    row, column = squares.row // 2, squares.column // 2
+    columns = int(column.max(initial=0)) + 1
+    held, part = distinct((row * columns + column) * LINES + squares.line)
+    sums = np.zeros((len(held), 10), np.int64)
+    np.add.at(sums, part, squares.moments)
+    place, line = np.divmod(held, LINES)
+    return Squares(*np.divmod(place, columns), line, sums)
+
+
+def _meetings(squares: Squares) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """Flightlines that share a square, two by two: rows of the one and of the other."""
+    place = squares.row * 2**32 + squares.column
+    for apart in range(1, len(place)):
+        first = np.flatnonzero(place[apart:] == place[:-apart])
+        if not len(first):
+            return
+        yield first, first + apart
+
+
+def _shared_by(squares: Squares, edge_m: float, whole: Bounds) -> Iterator[Patches]:
+    """Patches among all squares of one size, those in which smaller ones were found as well."""
+    squares = squares.take(np.flatnonzero(squares.moments[:, 0] >= MIN_RETURNS_PER_PATCH))
+    sides = _centred(squares.moments)
+    evenly = np.flatnonzero(_narrowest(sides) >= (SPREAD * edge_m) ** 2)
+    squares, sides = squares.take(evenly), rows_of(sides, evenly)
+    none = np.empty(0, np.intp)
+    for first, second in ((none, none), *_meetings(squares)):
+        found = _fitted(rows_of(sides, first), rows_of(sides, second))
+        planar = np.flatnonzero(
+            (found["thickness"] <= THICKEST_M)
+            & (np.hypot(found["east"], found["north"]) <= STEEPEST)
+        )
+        mine = squares.take(first[planar])
+        yield {
+            "first": mine.line,
+            "second": squares.line[second[planar]],
+            "x": whole.xmin / QUANTA_PER_M + (mine.column + 0.5) * edge_m,
+            "y": whole.ymin / QUANTA_PER_M + (mine.row + 0.5) * edge_m,
+            "edge_m": np.full(len(planar), edge_m),
+            **rows_of(found, planar),
+        }
 
 
 def _centred(moments: NDArray[np.int64]) -> dict[str, NDArray[np.float64]]:
     """Count, means [m] and sums about them [m2] of each square."""
-    n, x, y, z, xx, xy, yy, xz, yz, zz = moments.transpose(2, 0, 1).astype(np.float64)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        found = {
-            "x": x / n, "y": y / n, "z": z / n,
-            "xx": xx - x * x / n, "xy": xy - x * y / n, "yy": yy - y * y / n,
-            "xz": xz - x * z / n, "yz": yz - y * z / n, "zz": zz - z * z / n,
-        }  # fmt: skip
+    n, x, y, z, xx, xy, yy, xz, yz, zz = moments.T.astype(np.float64)
+    found = {
+        "x": x / n, "y": y / n, "z": z / n,
+        "xx": xx - x * x / n, "xy": xy - x * y / n, "yy": yy - y * y / n,
+        "xz": xz - x * z / n, "yz": yz - y * z / n, "zz": zz - z * z / n,
+    }  # fmt: skip
     scaled = {k: v * QUANTUM_M ** len(k) for k, v in found.items()}
     return {"n": n, **scaled}
 
@@ -179,66 +190,44 @@ def _narrowest(side: dict[str, NDArray[np.float64]]) -> NDArray[np.float64]:
     return narrow
 
 
-def _rows(
-    fitted: Patches, chosen: NDArray[np.bool_], pair: tuple[int, int], whole: Bounds, edge_m: float
-) -> Patches:
-    row, column = np.nonzero(chosen)
-    count = len(row)
-    values = {name: one[row, column] for name, one in fitted.items()}
-    values["thickness"] = np.sqrt(values.pop("square"))
+def _fitted(one: dict[str, NDArray[np.float64]], other: dict[str, NDArray[np.float64]]) -> Patches:
+    """Planes of squares with slopes in common, by what :func:`_centred` gives of both sides."""
+    xx, xy, yy, xz, yz, zz = (one[k] + other[k] for k in ("xx", "xy", "yy", "xz", "yz", "zz"))
+    returns = one["n"] + other["n"]
+    determinant = xx * yy - xy * xy
+    east = (yy * xz - xy * yz) / determinant
+    north = (xx * yz - xy * xz) / determinant
+    square = np.maximum(zz - east * xz - north * yz, 0.0) / (returns - 4)
+    scale = square / determinant
+    ee, en, nn = yy * scale, -xy * scale, xx * scale
+    dx, dy = other["x"] - one["x"], other["y"] - one["y"]
+    rise = other["z"] - one["z"] - east * dx - north * dy
+    variance = square * (1 / one["n"] + 1 / other["n"])
+    variance += dx * dx * ee + 2 * dx * dy * en + dy * dy * nn
     return {
-        "first": np.full(count, pair[0], np.int32),
-        "second": np.full(count, pair[1], np.int32),
-        "x": whole.xmin / QUANTA_PER_M + (column + 0.5) * edge_m,
-        "y": whole.ymin / QUANTA_PER_M + (row + 0.5) * edge_m,
-        "edge_m": np.full(count, edge_m),
-        **values,
-    }
+        "rise": rise, "variance": variance, "east": east, "north": north,
+        "ee": ee, "en": en, "nn": nn, "thickness": np.sqrt(square), "returns": returns,
+    }  # fmt: skip
 
 
-def _thinned(patches: Patches) -> Patches:
-    """No more than :data:`MOST` patches of each pair: half of them the steepest."""
-    pair = patches["first"].astype(np.int64) * 2**32 + patches["second"]
+def _chosen(patches: Patches) -> Patches:
+    """Patches pair by pair: none around a smaller one, and no more than :data:`MOST` of each."""
+    pair, edge_m = patches["first"] * LINES + patches["second"], patches["edge_m"]
+    free = np.ones(len(pair), np.bool_)
+    for size_m in (EDGE_M * 2**level for level in range(1, LEVELS)):
+        i, j = (np.floor(patches[axis] / size_m).astype(np.int64) for axis in "xy")
+        # A ground cell has fewer than 2**15 squares along an edge.
+        place = (pair * 2**15 + i % 2**15) * 2**15 + j % 2**15
+        held = place[edge_m < size_m]
+        free &= (edge_m != size_m) | ~np.isin(place, held)
+    order = np.lexsort([patches[key] for key in ("x", "y", "edge_m", "second", "first")])
+    order = order[free[order]]
     slope = np.hypot(patches["east"], patches["north"])
     keep = []
-    for one in np.unique(pair):
-        mine = np.flatnonzero(pair == one)
-        if len(mine) > MOST:
-            mine = mine[np.argsort(slope[mine], kind="stable")]
-            steep = mine[-MOST // 2 :]
-            rest = mine[: -MOST // 2]
-            evenly = np.linspace(0, len(rest) - 1, MOST // 2).astype(int)
-            mine = np.sort(np.concatenate([rest[evenly], steep]))
-        keep.append(mine)
-    rows = np.concatenate(keep) if keep else np.empty(0, np.intp)
-    return {name: values[rows] for name, values in patches.items()}
-
-
-def moments_of(
-    xyz: tuple[NDArray[np.int64], ...], line: NDArray[np.int64], shape: tuple[int, int, int]
-) -> NDArray[np.int64]:
-    """Count and sums of x, y, z, xx, xy, yy, xz, yz, zz in squares: (lines, rows, columns, 10).
-
-    ``xyz``: from the south-west of the first square and a height below all points on [quanta]. In
-    sums x and y count from the middle of the largest square around, so that they may be added up.
-    """
-    edge, whole = quanta(EDGE_M), quanta(SQUARE_M)
-    index = (line, xyz[1] // edge, xyz[0] // edge)
-    mine = np.logical_and.reduce([(k >= 0) & (k < n) for k, n in zip(index, shape, strict=True)])
-    at = np.ravel_multi_index([k[mine] for k in index], shape)
-    x, y, z = (axis[mine] for axis in xyz)
-    x, y = (axis % whole - whole // 2 for axis in (x, y))
-    sums = np.zeros((math.prod(shape), 10), np.int64)
-    products = (np.ones_like(x), x, y, z, x * x, x * y, y * y, x * z, y * z, z * z)
-    for total, values in zip(sums.T, products, strict=True):
-        np.add.at(total, at, values)
-    return sums.reshape(*shape, 10)
-
-
-def in_fours(squares: NDArray[Any]) -> NDArray[Any]:
-    """Values of squares, (n, rows, columns, ...), by the square of twice the edge that holds them.
-
-    (n, rows / 2, 2, columns / 2, 2, ...).
-    """
-    n, rows, columns, *each = squares.shape
-    return squares.reshape(n, rows // 2, 2, columns // 2, 2, *each)
+    for mine in np.split(order, np.flatnonzero(np.diff(pair[order])) + 1):
+        chosen = np.argsort(slope[mine], kind="stable")
+        if len(mine) > MOST:  # half of them the steepest
+            evenly = np.linspace(0, len(mine) - MOST // 2 - 1, MOST // 2).astype(int)
+            chosen = np.concatenate([chosen[evenly], chosen[-MOST // 2 :]])
+        keep.append(mine[np.sort(chosen)])
+    return rows_of(patches, np.concatenate(keep))

@@ -182,17 +182,12 @@ def _patches(kind: str, survey: Survey) -> Iterator[Task]:
     if is_one_flightline(survey):
         return
     for cell in survey.ground_cells(quanta(SQUARE_M)):
-        task = _cell_task(kind, cell, survey, {"lines": _lines(survey)}, ("denoise",))
+        task = _cell_task(kind, cell, survey, {}, ("denoise",))
         yield replace(task, points=0)
 
 
 def _together(kind: str, of: str, survey: Survey) -> Task:
-    """One task on all cells with patches."""
-    cells = sorted(name for name, r in survey.of(of).items() if r.facts["patches"])
-    args = {"lines": _lines(survey), "cells": cells}
+    """One task on what was found in all cells, and flightlines with times."""
+    cells = sorted(survey.of(of))
+    args = {"lines": [[*line.as_pass] for line in survey.flown], "cells": cells}
     return Task(kind, "all", args, tuple((of, name) for name in cells))
-
-
-def _lines(survey: Survey) -> list[list[object]]:
-    """Flightlines with times."""
-    return [[*line.as_pass] for line in survey.flown]

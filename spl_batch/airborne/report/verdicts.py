@@ -1,6 +1,6 @@
 """The few numbers and sentences that a reader wants first, for the console and the page."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 from spl_batch.airborne.report.model import ClientTile, Counts, Report
@@ -103,19 +103,14 @@ def mostly_unfiltered(counts: Counts, method: str) -> str:
 def screen_summary(report: Report) -> list[tuple[str, str]]:
     """Label and value of each number that the console shows after a run."""
     counts, work = report.counts, report.performance
-    not_read = f", about {number(counts.not_read)} not read" if counts.not_read else ""
-    classes = [("ground", counts.ground)]
+    kinds = [("ground", counts.ground)]
     if photon_counting(report):
         noise = [("background noise", counts.background), ("afterpulses", counts.afterpulse)]
-        classes = [("signal", counts.signal), *noise, *classes]
+        kinds = [("signal", counts.signal), *noise, *kinds]
+    kinds += [("not assessed", counts.not_assessed)] * bool(counts.not_assessed)
+    not_read = f", about {number(counts.not_read)} not read" if counts.not_read else ""
     dropped = sum(counts.dropped.values())
-    not_read += f", {number(dropped)} dropped" if dropped else ""
-    rows = [
-        ("points", f"{number(counts.points_in)} in, {number(counts.points_out)} out{not_read}"),
-        *((label, _with_share(count, counts.points_in)) for label, count in classes),
-    ]
-    if counts.not_assessed:
-        rows.append(("not assessed", _with_share(counts.not_assessed, counts.points_in)))
+    rows = count_rows(counts.points_in, counts.points_out, kinds, dropped, not_read)
     if counts.in_no_client_tile is not None:
         rows.append(("client tiles", _client_tiles(report.client_tiles, counts.in_no_client_tile)))
     if unfiltered := mostly_unfiltered(counts, report.noise.method):
@@ -137,6 +132,20 @@ def screen_summary(report: Report) -> list[tuple[str, str]]:
     return [(label, as_ascii(value)) for label, value in rows] + ending_rows(
         work, report.failures, report.findings
     )
+
+
+def count_rows(
+    points_in: int,
+    points_out: int,
+    kinds: Iterable[tuple[str, int]],
+    dropped: int,
+    not_read: str = "",
+) -> list[tuple[str, str]]:
+    """Label and value of points in and out, and of each kind as a share of all [count]."""
+    left_out = f"{not_read}, {number(dropped)} dropped" if dropped else not_read
+    points = f"{number(points_in)} in, {number(points_out)} out{left_out}"
+    shares = ((label, f"{number(n)} ({of_all(n, points_in)})") for label, n in kinds)
+    return [("points", points), *shares]
 
 
 def _client_tiles(tiles: Sequence[ClientTile], outside: int) -> str:
@@ -216,7 +225,3 @@ def _all_delivered(report: Report) -> Verdict:
         text = f"Every point is accounted for: {points} in, {number(counts.points_out)} out"
         return Verdict("good", f"{text}; outputs.drop left out {left_out}.")
     return Verdict("good", f"Every point is delivered: {points} in and out.")
-
-
-def _with_share(part: int, whole: int) -> str:
-    return f"{number(part)} ({of_all(part, whole)})"

@@ -52,13 +52,23 @@ def stored_blocks(
     """
     for cell in cells:
         held = read_arrays(_path(store, name, cell))
-        core, values = Bounds(*held["core"].tolist()), held["values"]
-        edge, part = (core.xmax - core.xmin) // values.shape[1], shared(core, bounds)
-        if part.xmax > part.xmin and part.ymax > part.ymin:
-            top, bottom = (core.ymax - part.ymax) // edge, (core.ymax - part.ymin) // edge
-            left, right = (part.xmin - core.xmin) // edge, (part.xmax - core.xmin) // edge
-            row, col = (bounds.ymax - part.ymax) // edge, (part.xmin - bounds.xmin) // edge
-            yield row, col, values[top:bottom, left:right]
+        part = placed(held["values"], Bounds(*held["core"].tolist()), bounds)
+        if part[2].size:
+            yield part
+
+
+def placed(
+    values: NDArray[np.float32], core: Bounds, bounds: Bounds
+) -> tuple[int, int, NDArray[np.float32]]:
+    """Part of a cell's raster that lies in a region of whole raster cells, and its place there.
+
+    ``values``: (rows, columns) of the whole core, row 0 northernmost, as in the region [quanta].
+    """
+    edge, part = (core.xmax - core.xmin) // values.shape[1], shared(core, bounds)
+    top, bottom = (core.ymax - part.ymax) // edge, (core.ymax - part.ymin) // edge
+    left, right = (part.xmin - core.xmin) // edge, (part.xmax - core.xmin) // edge
+    row, column = (bounds.ymax - part.ymax) // edge, (part.xmin - bounds.xmin) // edge
+    return row, column, values[top:bottom, left:right]
 
 
 def _path(store: Store, name: str, cell: str) -> Path:

@@ -9,22 +9,23 @@ import pytest
 
 from spl_batch.airborne import receiver
 from spl_batch.airborne.lines.alignment import AlignedLine
-from spl_batch.airborne.lines.comparison import _Cell, _overlaps, done_sentence, offset_warnings
+from spl_batch.airborne.lines.comparison import done_sentence, offset_warnings
 from spl_batch.airborne.lines.pair_table import (
     DETERMINED_M,
     FEWEST,
     StripPair,
     pair_table,
 )
-from spl_batch.airborne.lines.patches import Patches
+from spl_batch.airborne.lines.patches import Patches, find_patches, rows_of
 from spl_batch.airborne.steps import STEPS
 from spl_batch.engine.report.reported import reported
 from spl_batch.formats.units import METRES, US_FOOT, Units
 from tests.airborne.lines.two_strips import (
+    CORE,
+    NAMES,
     Heights,
     Shift,
     hills,
-    patches_between,
     two_strips,
 )
 
@@ -39,13 +40,13 @@ class Scene:
     noise_m: float = 0.05
 
 
-def patches_of(shift: Shift, scene: Scene = Scene(), seed: int = 0) -> tuple[list[str], Patches]:
+def patches_of(shift: Shift, scene: Scene = Scene(), seed: int = 0) -> Patches:
     points = two_strips(shift, noise_m=scene.noise_m, heights=scene.heights, seed=seed)
-    return patches_between(points)
+    return find_patches(points, CORE)[0]
 
 
 def pair(shift: Shift, scene: Scene = Scene(), seed: int = 0) -> StripPair:
-    (found,) = pair_table([patches_of(shift, scene, seed)])
+    (found,) = pair_table(patches_of(shift, scene, seed), NAMES)
     return found
 
 
@@ -73,20 +74,22 @@ def test_aligned_flightlines_are_null_and_nothing_is_said() -> None:
         assert list(offset_warnings([found])) == []
 
 
-def test_a_flightline_is_not_compared_with_itself_nor_by_few_patches() -> None:
-    names, patches = patches_of(Shift())
-    assert pair_table([(["one", "one"], patches)]) == []
-    few = {k: v[: FEWEST - 1] for k, v in patches.items()}
-    assert pair_table([(names, few)]) == []
-    both = [(names, {k: v[:6] for k, v in patches.items()})] * 2
-    (found,) = pair_table(both)
-    assert found.patches == 12
-    assert pair_table([]) == []
-
-
-def test_pairs_that_overlap_are_those_of_all_cells_the_lesser_name_first() -> None:
-    cells = [_Cell(["b", "a", "c"], [], [[0, 1], [1, 2]], {}), _Cell(["a", "b"], [], [[0, 1]], {})]
-    assert _overlaps(cells) == {("a", "b"), ("a", "c")}
+def test_few_patches_make_no_pair_and_the_lesser_name_comes_first() -> None:
+    patches = patches_of(Shift(up=0.2))
+    few = rows_of(patches, np.arange(FEWEST))
+    (found,) = pair_table(few, NAMES)
+    assert found.patches == FEWEST
+    assert pair_table(rows_of(patches, np.arange(FEWEST - 1)), NAMES) == []
+    assert pair_table(rows_of(patches, np.arange(0)), NAMES) == []
+    (turned,) = pair_table(few, {1: "two", 2: "one"})
+    assert (turned.first, turned.second, turned.up_m) == ("one", "two", -found.up_m)
+    third = {**few, "second": np.full(FEWEST, 3)}
+    three = {name: np.concatenate([few[name], third[name]]) for name in few}
+    names = {1: "two", 2: "one", 3: "three"}
+    assert [(one.first, one.second) for one in pair_table(three, names)] == [
+        ("one", "two"),
+        ("three", "two"),
+    ]
 
 
 @pytest.mark.parametrize(

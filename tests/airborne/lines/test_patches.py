@@ -17,36 +17,35 @@ from spl_batch.airborne.lines.patches import (
     Patches,
     find_patches,
     in_fours,
-    moments_of,
     region,
-    seen_lines,
+    squares_of,
 )
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds
-from tests.airborne.lines.two_strips import (
-    CORE,
-    Shift,
-    patches_between,
-    two_strips,
-)
+from tests.airborne.lines.two_strips import CORE, Shift, two_strips
 
 
 def test_moments_are_the_sums_of_the_points_of_each_square() -> None:
     rng = np.random.default_rng(1)
     x, y, z = (rng.integers(0, 60_000, 500).astype(np.int64) for _ in range(3))
-    strip = rng.integers(-1, 3, 500)
-    got = moments_of((x - 10_000, y - 10_000, z), strip, (3, 4, 8))
-    for s in range(3):
-        for j in range(4):
-            for i in range(8):
-                west, south = 10_000 + 5_000 * i, 10_000 + 5_000 * j
-                mine = (strip == s) & (x >= west) & (x < west + 5_000)
-                mine &= (y >= south) & (y < south + 5_000)
-                u = x[mine] - (20_000 + 20_000 * (i // 4))
-                v, w = y[mine] - 20_000, z[mine]
-                wanted = [len(u), u, v, w, u * u, u * v, v * v, u * w, v * w, w * w]
-                assert got[s, j, i].tolist() == [int(np.sum(one)) for one in wanted]
-    assert np.array_equal(in_fours(got)[:, 1, :, 3], got[:, 2:, 6:])
+    line = rng.choice(np.array([0, 7, 65_535], np.uint16), 500)
+    points = PointTable({"x": x + 10_000, "y": y + 10_000, "z": z.astype(np.int32), "line": line})
+    squares = squares_of(points, Bounds(20_000, 20_000, 60_000, 40_000))
+    for edge, found in ((5_000, squares), (10_000, in_fours(squares))):
+        places = zip(found.row.tolist(), found.column.tolist(), found.line.tolist(), strict=True)
+        got = dict(zip(places, found.moments.tolist(), strict=True))
+        held = set()
+        for j, i, number in np.ndindex(20_000 // edge, 40_000 // edge, 3):
+            west, south, own = 10_000 + edge * i, 10_000 + edge * j, [0, 7, 65_535][number]
+            mine = (line == own) & (x >= west) & (x < west + edge)
+            mine &= (y >= south) & (y < south + edge)
+            u = x[mine] - (20_000 + 20_000 * (edge * i // 20_000))
+            v, w = y[mine] - 20_000, z[mine] - z.min()
+            wanted = [len(u), u, v, w, u * u, u * v, v * v, u * w, v * w, w * w]
+            if len(u):
+                held.add((j, i, own))
+                assert got[j, i, own] == [int(np.sum(one)) for one in wanted]
+        assert got.keys() == held
 
 
 def oracle(first: NDArray[Any], second: NDArray[Any]) -> dict[str, float]:
@@ -100,10 +99,10 @@ def test_flightlines_that_overlap_without_patches_are_known() -> None:
     apart = two_strips(Shift())
     apart = apart.take((apart["line"] == 1) ^ (apart["x"] > np.median(apart["x"])))
     alone, nothing = apart.take(apart["line"] == 1), apart.take(slice(0, 0))
-    for points, met in ((crowns, {(0, 1)}), (apart, set()), (alone, set()), (nothing, set())):
-        found, overlaps = find_patches(points, seen_lines(points["line"]), CORE)
+    for points, met in ((crowns, [[1, 2]]), (apart, []), (alone, []), (nothing, [])):
+        found, overlaps = find_patches(points, CORE)
         assert not len(found["rise"])
-        assert overlaps == met
+        assert overlaps.tolist() == met
 
 
 @settings(max_examples=15)
@@ -145,7 +144,7 @@ def _owned(points: PointTable, core: Bounds) -> dict[str, NDArray[Any]]:
 
 
 def found_in(points: PointTable, core: Bounds = CORE) -> Patches:
-    return patches_between(points, core)[1]
+    return find_patches(points, core)[0]
 
 
 def _same(one: Mapping[str, NDArray[Any]], other: Mapping[str, NDArray[Any]]) -> bool:

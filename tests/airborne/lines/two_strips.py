@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.lines.patches import Patches, find_patches, seen_lines
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds
 
@@ -88,10 +87,3 @@ def two_strips(
 
 
 NAMES = {1: "one", 2: "two"}
-
-
-def patches_between(points: PointTable, core: Bounds = CORE) -> tuple[list[str], Patches]:
-    """Names of the two flightlines, and their patches."""
-    seen = seen_lines(points["line"])
-    names = [NAMES[number] for number in seen.numbers.tolist()]
-    return names, find_patches(points, seen, core)[0]
