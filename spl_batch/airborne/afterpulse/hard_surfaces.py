@@ -19,7 +19,7 @@ STEP_M = 0.05
 """Steps in which a law is tabled [m]. Half and twice move 648 + 849 and 788 + 665 labels."""
 
 RETURNS_MIN = 6
-"""Least returns of a surface [count]."""
+"""Least returns of a surface [count]. Half and twice move 13 + 30 and 22 + 40 labels."""
 
 SHARP = 3.0
 """Most that the residuals of a hard surface spread [ranging spreads]. Half and twice move 8 + 40

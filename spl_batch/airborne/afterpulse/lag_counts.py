@@ -24,13 +24,15 @@ from spl_batch.numerics.planes.robust_plane import residual
 from spl_batch.numerics.sorting import first_above
 
 CLEAN = 0.9
-"""Least share of a shot's first returns, on its plane and behind it, that lie on it."""
+"""Least share of a shot's first returns, on its plane and behind it, that lie on it. Half moves 20
++ 2 labels, 1.0 120 + 66 labels."""
 
 PARENTS_MIN = 12
-"""Least first returns on that plane [count]."""
+"""Least first returns on that plane [count]. Half and twice move 0 + 4 and 20 + 31 labels."""
 
 BEHIND = 2.5
-"""A follower so far behind a plane does not belong to the surface itself [spreads]."""
+"""A follower so far behind a plane does not belong to the surface itself [spreads]. Half and twice
+move 14 + 7 and 21 + 32 labels."""
 
 TILTED = 0.9
 """Cosine of the angle between a beam and the normal of a plane up to which the plane is taken as it

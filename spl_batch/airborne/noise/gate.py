@@ -2,9 +2,8 @@
 
 Source: [W17] 5.2.1 ("data from all the beamlets are truncated with the same range gate") does not
 say how to find it. Here its ends are the extreme returns of absolute windows of intervals, moved
-out by one mean spacing of the noise: the expected shortfall of a uniform sample. Returns far beyond
-all others are left out before
-(:func:`~spl_batch.airborne.noise.noise_intervals.far_beyond`). A gate may be
+out by one mean spacing of the noise: the expected shortfall of a uniform sample. An end that one or
+two returns alone claim, many spacings beyond all others, is none. A gate may be
 constant in slant range, follow the surface, or be cut at a height: the shortest one that explains
 the same returns is taken.
 """
@@ -16,7 +15,13 @@ from typing import Any, Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER, HALF, SUPPORT
+from spl_batch.airborne.noise.line_statistics import (
+    BUFFER_LADDER,
+    HALF,
+    LONE_MOST,
+    LONE_SPACINGS,
+    SUPPORT,
+)
 from spl_batch.airborne.noise.noise_intervals import SUMMARY
 from spl_batch.engine.findings import Finding
 
@@ -32,6 +37,10 @@ GATE_MIN_M: Final = 60.0
 
 GATE_ASSUMED_M: Final = 300.0
 """Gate where neither the workflow states nor the points show one [m]."""
+
+LONE_GAPS: Final = (3, 8)
+"""Gaps between the extremes that follow which show their spacing, at least and at most [count].
+Without this rule returns 1000 m below a stated gate, one of forty, lengthen it in thin noise."""
 
 Kind = Literal["range", "height"]
 Basis = Literal["stated", "estimated", "assumed"]
@@ -128,7 +137,9 @@ def _edges(
 
     ``noise``: (w, 2), returns above and below the signal [count].
     """
-    low, high = np.minimum.reduceat(extremes[0], starts), np.maximum.reduceat(extremes[1], starts)
+    lowest, highest = (np.split(values, starts[1:]) for values in extremes)
+    windows = zip(lowest, highest, noise, strict=True)
+    low, high = np.array([_ends(*window, half_m) for window in windows]).T
     extent = high - low
     total = noise.sum(axis=1)
     shortfall = _spacing_m(extent, total, half_m)
@@ -146,6 +157,47 @@ def _spacing_m(extent: Any, noise: Any, half_m: float) -> Any:
     """Mean spacing of the noise in an extent, by returns farther than half_m from the signal."""
     density = noise / np.maximum(extent - 2 * half_m, 0.2 * np.maximum(extent, 1.0))
     return 1.0 / np.maximum(density, 1e-9)
+
+
+def _ends(
+    low: NDArray[np.float64], high: NDArray[np.float64], noise: NDArray[np.int64], half_m: float
+) -> tuple[float, float]:
+    """Lowest and highest end of a window's intervals that is not far beyond all others."""
+    # Distinct ones: an interval without returns repeats the ends of the one before.
+    sides = [np.unique(ends, return_index=True) for ends in (low, -high)]
+    if min(len(ends) for ends, _ in sides) <= LONE_MOST:
+        return float(low.min()), float(high.max())
+    within = -sum(ends[LONE_MOST] for ends, _ in sides)
+    # Of one side alone: behind the surface there may be less noise.
+    first, last = (
+        _without_lone(
+            ends,
+            (high - low - within)[row],
+            _spacing_m(within, count, half_m) if count >= SUPPORT else np.inf,
+        )
+        for (ends, row), count in zip(sides, noise, strict=True)
+    )
+    return first, -last
+
+
+def _without_lone(
+    ends: NDArray[np.float64], longer: NDArray[np.float64], spacing_m: float
+) -> float:
+    """Lowest of rising ends that is not far below all others.
+
+    Where the gate of an interval lies elsewhere as a whole, the interval is no longer for that.
+
+    ``longer``: by how much the interval of each is longer than the window without them [m].
+    """
+    gap, lone = np.diff(ends), 0
+    for k in range(1, LONE_MOST + 1):
+        follow = gap[k : k + LONE_GAPS[1]]
+        if len(follow) < LONE_GAPS[0]:
+            break
+        far = gap[k - 1] > LONE_SPACINGS * max(spacing_m, follow.mean())
+        if far and (longer[:k] > 0.5 * gap[k - 1]).all():
+            lone = k
+    return float(ends[lone])
 
 
 def _length_m(

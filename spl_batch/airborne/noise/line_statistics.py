@@ -46,8 +46,8 @@ STRAY_SHARE: Final = 0.1
 twice 6 + 0 labels."""
 
 LONE_MOST: Final = int(STRAY_SHARE * SUPPORT)
-"""That share of the least noise that shows its spacing: so many returns of an interval may be no
-end of the gate, however little noise there is [count]."""
+"""That share of the least noise that shows its spacing: so many returns of an interval, or
+intervals of a window, may be no end of the gate, however little noise there is [count]."""
 
 _BY_INTERVAL: Final = (
     "interval", "summary", "outside", "blinded", "returns", "beamlets", "shots", "first", "last",

@@ -31,20 +31,24 @@ FAR_M: Final = 4.0
 to [m]. Half moves 0 + 1 labels, twice 123 + 28 cells of the DTM."""
 
 NODE_BLOCKS: Final = 3
-"""Blocks from one plate to the next [count]."""
+"""Blocks from one plate to the next [count]. At 2 it moves 121 + 9 cells of the DTM, at twice 123 +
+28 cells of the DTM."""
 
 WINDOW_BLOCKS: Final = 7
 """Blocks on each side of a node that its plate is fitted to, at most [count]. Half moves 123 + 28
 cells of the DTM, twice nothing."""
 
 _RIM = 2
-"""Blocks with an empty one no farther than this are the rim of a gap [count]."""
+"""Blocks with an empty one no farther than this are the rim of a gap [count]. Half moves 123 + 28
+cells of the DTM, twice 120 + 15 cells of the DTM."""
 
 _STIFFNESS = 1.0
-"""Of plates, in blocks: they smooth over about half a block."""
+"""Of plates, in blocks: they smooth over about half a block. Half moves 122 + 15 cells of the DTM,
+twice 123 + 24 cells of the DTM."""
 
 ENOUGH = 6
-"""Places with ground that a plate, or the plane of a ring, is fitted to, at least [count]."""
+"""Places with ground that a plate, or the plane of a ring, is fitted to, at least [count]. At 4 it
+moves 984 + 0 cells of its sigma, at twice 5752 + 4563 cells of its sigma."""
 
 _CELLS = 2.0
 """Cells with ground in a block, on the average; in sparser clouds gaps are everywhere [count]."""

@@ -176,10 +176,12 @@ cells of the intensity, twice 6764 + 6783 cells of the intensity."""
 U_COARSE = np.uint64(COARSE)
 
 STEP_CELLS = 0.5
-"""Step of a ray over the ground [cells]."""
+"""Step of a ray over the ground [cells]. Half moves 3694 + 5622 cells of the intensity, twice 2713
++ 5368 cells of the intensity."""
 
 COSINE_MIN = 0.2
-"""Incidence is not corrected for beyond this [1]."""
+"""Incidence is not corrected for beyond this [1]. Half moves 76 + 90 cells of the intensity, twice
+187 + 206 cells of the intensity."""
 
 
 class Grid(NamedTuple):
