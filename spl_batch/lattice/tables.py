@@ -276,8 +276,12 @@ class VoxelPart:
         return [*self.corner, *ends]
 
 
-VOXEL_FIXED_POINT: Final = 2.0**32
-"""Steps of :attr:`VoxelPart.amount` per point."""
+FIXED_POINT: Final = 2.0**32
+"""Steps of a sum per whole: of :attr:`VoxelPart.amount` per point, of light per photo-electron."""
+
+ROWS_AT_ONCE: Final = 1 << 14
+"""Rows that are looked up at once where a step makes many arrays of them; speed and memory only
+[count]."""
 
 
 TILE_COLUMNS: Final = (

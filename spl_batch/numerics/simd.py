@@ -41,6 +41,9 @@ from numba.extending import intrinsic, lower_builtin, models, register_model
 LANES: Final = 8
 """Values at a time [count]."""
 
+TOGETHER: Final = 128
+"""What is gathered before vectors work on it, as it lies apart in memory; speed only [count]."""
+
 UL: Final = np.uint64(LANES)
 """The same, to count indices on."""
 

@@ -57,8 +57,8 @@ def plate_heights(points: Values, plate: Values, x: Values, y: Values) -> Values
 def _bending(points: Values, x: Values, y: Values) -> Values:
     """``r**2 log r`` of the distances from points to places, 0 at 0: (n, m)."""
     distance2 = (x - points[:, :1]) ** 2 + (y - points[:, 1:2]) ** 2
-    bending: Values = 0.5 * xlogy(distance2, distance2)
-    return bending
+    bending = xlogy(distance2, distance2)
+    return np.asarray(0.5 * bending, np.float64)
 
 
 @njit()

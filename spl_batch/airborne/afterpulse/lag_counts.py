@@ -24,13 +24,15 @@ from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.sorting import first_above
 
 CLEAN = 0.9
-"""Least share of a shot's first returns, on its plane and behind it, that lie on it."""
+"""Least share of a shot's first returns, on its plane and behind it, that lie on it. Half moves 20
++ 2 labels, 1.0 120 + 66 labels."""
 
 PARENTS_MIN = 12
-"""Least first returns on that plane [count]."""
+"""Least first returns on that plane [count]. Half and twice move 0 + 4 and 20 + 31 labels."""
 
 BEHIND = 2.5
-"""A follower so far behind the plane does not belong to the surface itself [spreads]."""
+"""A follower so far behind a plane does not belong to the surface itself [spreads]. Half and twice
+move 14 + 7 and 21 + 32 labels."""
 
 TILTED = 0.9
 """Cosine of the angle between a beam and the normal of a plane up to which the plane is taken as it
@@ -45,18 +47,20 @@ LAG_EDGES_M: Final = np.concatenate([np.arange(81) * STEP_M, np.geomspace(4.0, 6
 the lag."""
 
 
-PLANES_PRIOR: Final = 15.0
-"""Planes that the sensor's own figure is worth [count]: fewer than 60 in all change nothing, as a
-few planes of shrubs look alike."""
+PLANES_LEAST: Final = 30
+"""Planes that can tell a spread or a tail [count]: a few of shrubs look alike, and may just have
+something behind them."""
 
 QUANTILE: Final = 0.2
 """Quantile of the planes' spreads: in any survey with planes a fifth of them is hard."""
 
 SPREAD_CHANCE: Final = 1.15
-"""Spread of hard planes over that quantile, as some twenty returns of a plane tell it."""
+"""Spread of hard planes over that quantile, as some twenty returns of a plane tell it. Half moves
+nothing, twice 304 + 1063 labels."""
 
 BELIEVED: Final = 1.3
-"""Factor to the sensor's spread below which a larger one is roughness of the ground."""
+"""Factor to the sensor's spread below which a larger one is roughness of the ground. Half moves 48
++ 131 labels, twice nothing."""
 
 LOW: Final = 0.1
 ALIKE: Final = 0.7
@@ -202,18 +206,14 @@ def ranging_spread(planes: NDArray[np.int64], sensor: Sensor) -> float:
     ``planes``: planes by their spread, in steps of :data:`SPREAD_STEP_M` [count].
     """
     stated = sensor.range_sigma_m
-    if not _alike_spreads(planes):
+    if planes.sum() < PLANES_LEAST or not _alike_spreads(planes):
         return stated
-    counts = planes.astype(np.float64)
-    counts[min(int(stated / SPREAD_CHANCE / SPREAD_STEP_M), len(counts) - 1)] += PLANES_PRIOR
-    found = SPREAD_CHANCE * _quantile(counts, QUANTILE)
+    found = SPREAD_CHANCE * _quantile(planes, QUANTILE)
     return found if found > BELIEVED * stated else stated
 
 
 def _alike_spreads(planes: NDArray[np.int64]) -> bool:
     """Whether the least spreads are those of hard planes."""
-    if not planes.any():
-        return False
     least, most = (_quantile(planes, share) for share in (LOW * QUANTILE, QUANTILE))
     return least >= ALIKE * most
 

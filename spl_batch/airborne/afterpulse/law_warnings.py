@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from spl_batch.airborne.afterpulse.afterpulse_law import AfterpulseLaw, added, of_hard_planes
 from spl_batch.airborne.afterpulse.hard_surfaces import STEP_M
 from spl_batch.airborne.afterpulse.lag_counts import LAG_EDGES_M
+from spl_batch.airborne.noise.gains import SURE_SIGMA
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.engine.findings import Finding
 
@@ -45,10 +46,8 @@ def expected_and_seen(
 
 
 UNEVEN: Final = 1.5
-"""Factor to the law, up or down, within which a stretch's followers are no news."""
-
-UNEVEN_SIGMA: Final = 6.0
-"""And standard deviations of chance."""
+"""Factor to what a flightline's law or its noise lets expect, up or down, within which a part of it
+is no news."""
 
 
 def uneven(
@@ -72,7 +71,7 @@ def uneven(
     for part, span_s in zip(parts, spans_s, strict=True):
         due, seen = expected_and_seen(part, law, noise_per_m, sensor.afterpulse_lag_max_m)
         ratio = (seen + 1.0) / (due + 1.0)
-        if max(ratio, 1.0 / ratio) > UNEVEN and abs(seen - due) > UNEVEN_SIGMA * math.sqrt(due + 1):
+        if max(ratio, 1.0 / ratio) > UNEVEN and abs(seen - due) > SURE_SIGMA * math.sqrt(due + 1):
             odd.append((ratio, span_s))
     if not odd:
         return ()

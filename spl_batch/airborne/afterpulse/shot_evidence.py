@@ -16,21 +16,17 @@ from spl_batch.airborne.afterpulse.hard_surfaces import (
     hard_surfaces,
     on_surface,
 )
-from spl_batch.airborne.afterpulse.lag_counts import law_at
+from spl_batch.airborne.afterpulse.lag_counts import BEHIND, law_at
 from spl_batch.numerics.compiled import njit
-from spl_batch.numerics.simd import LANES
+from spl_batch.numerics.simd import LANES, TOGETHER
 
-TOGETHER = 128
-"""Shots whose planes are fitted together; those that finish early hardly matter [count]."""
+AFTERPULSE_MIN = 0.5
+"""Probability from which a return is called an afterpulse, and is no evidence of its own. A parent
+alone gives less: the space domain decides in vegetation."""
 
 HARD = 0.95
-"""Probability of a return behind a parent on a hard surface."""
-
-PLANE_ONLY = 0.9
-"""The same where channels are not known and the plane is the only evidence."""
-
-SOFT_CAP = 0.49
-"""Most that a parent alone gives: the space domain decides in vegetation."""
+"""Probability of a return behind a parent on a hard surface, and, where channels are not known, of
+one behind such a surface."""
 
 
 @njit()
@@ -49,7 +45,7 @@ def soft_probability(
     for j in range(rows[0], rows[1]):
         others += first[j] & (abs(w[j] - at) <= 1.5)
     real = (others + 0.5) / (3.0 * rules.beamlets)
-    return SOFT_CAP * afterpulse / (afterpulse + real)
+    return AFTERPULSE_MIN * afterpulse / (afterpulse + real)
 
 
 @njit()
@@ -63,7 +59,7 @@ def follows_surface(
     :func:`depth_behind` gives. Unless ranging noise is large, half the dead time is distance
     enough: the dead time is longer than a hard surface is thick.
     """
-    if behind[i] <= max(0.5 * rules.dead_m, rules.apart * spread):
+    if behind[i] <= max(0.5 * rules.dead_m, BEHIND * spread):
         return False
     if depth <= behind[i] <= depth + 2.0 * rules.below_m:
         return False
@@ -122,7 +118,7 @@ def _of_shots(shots, u, v, w, channel, lag, known, rules, out):  # type: ignore[
             if not known[shot]:
                 # The published rule: below the plane, and not on it.
                 below = hard and 0.0 < behind[i] <= rules.lag_max_m
-                out[i] = PLANE_ONLY * (below and not on_surface(behind[i], spread, rules))
+                out[i] = HARD * (below and not on_surface(behind[i], spread, rules))
             # One farther behind its nearest parent cannot have been started by any.
             elif 0.0 < lag[i] <= rules.longest_m:
                 if hard and follows_surface(i, rows, channel, behind, spread, depth, w, rules):

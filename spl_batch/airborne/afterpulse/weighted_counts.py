@@ -18,11 +18,8 @@ from spl_batch.numerics.simd import LANES, UL, ascending, load, number, pack, sp
 UNIT: Final = 1024
 """Weight of a whole return, and of a kernel at its centre."""
 
-WHOLE: Final = 32
-"""Weights that are summed at once [count]; a power of two."""
-
-MASS: Final = 8.0 / 35.0
-"""Mean of the kernel (1 - d^2)^2 over the ball d < 1."""
+WHOLE: Final = 4 * LANES
+"""Weights that are summed at once: those of four vectors [count]."""
 
 
 def weigh_around(

@@ -15,9 +15,6 @@ from numpy.typing import NDArray
 
 from spl_batch.numerics.compiled import njit
 
-SPAN_MAX = 4096
-"""Bins that a shot's returns are counted in; those that spread farther are compared [count]."""
-
 
 @njit()
 def dcc_threshold(signal: float, noise: float, bins: float) -> float:
@@ -35,7 +32,7 @@ def _sharing(bins: NDArray[np.int64], inside: NDArray[np.bool_], count: NDArray[
     for taken in bins:
         first, last = min(first, taken), max(last, taken)
     span = last - first + 1
-    if span > SPAN_MAX:
+    if span > len(bins) ** 2:  # it is quicker to compare all of them
         for i in range(len(bins)):
             count[i] = 0
             for k in range(len(bins)):

@@ -12,7 +12,7 @@ is seen below them. Single places are even by chance, so several must lie togeth
 
 A signal *floats* if nothing was kept in the :data:`GAP` layers of cells of 5 m below it, in its
 column and the eight around, while a surface lies farther down in its own column. Roofs and decks
-hang so beside their edges: what is thinner than :data:`THICK` layers, and not far thinner spread
+hang so beside their edges: what is thinner than as many, and not far thinner spread
 than what lies below, is a surface itself. Where noise is not removed, single returns high up that
 the DSM lies on are named, too.
 """
@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from spl_batch.airborne.diagnostics.patches import largest_of_squares, patches
-from spl_batch.airborne.filter.stray_returns import CELL_M, Bare
+from spl_batch.airborne.diagnostics.patches import WARNED_M2, largest_of_squares, patches
+from spl_batch.airborne.filter.stray_returns import CELL_M, GAP, Bare
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.engine.findings import Finding
@@ -46,7 +46,7 @@ BLOCK: Final = 2
 """Layers of a metre that are looked at, and those of a block [count]."""
 
 EVEN: Final = 1.1
-"""Largest clumping of a filled block."""
+"""Largest clumping of a filled block: with that of haze, 1.15, crowns of 1.2 m are filled air."""
 
 LEAST_PER_M3: Final = 0.3
 TIMES_NOISE: Final = 4.0
@@ -56,23 +56,14 @@ SEEN: Final = 0.8
 """Least share of the columns of a place in which the ground is seen."""
 
 BESIDE: Final = 3
-PLACES: Final = 6
-"""Filled places among nine, and those of a patch that is warned of [count]."""
-
-GAP: Final = 3
-"""Layers of 5 m without a signal below what floats: more than crowns leave above their ground."""
-
-THICK: Final = 3
-"""Layers from which on what hangs in the air is no roof and no deck."""
+"""Filled places among nine [count]."""
 
 THIN: Final = 0.1
 """Signals of a column that are fewer than this share of others in it are no surface."""
 
 FLOAT_SHARE: Final = 0.01
-FLOAT_TIMES: Final = 5.0
-FLOAT_M2: Final = 500.0
-"""Share of the signal of a ground cell that floats, that over ``filter.alpha``, and the area, from
-which on it is warned of [1, 1, m2]."""
+"""Share of the signal of a ground cell that floats, beside ``filter.alpha``, from which on it is
+warned of."""
 
 FILLED: Final = "filled"
 """Fact of a ground cell: area [m2], lower and upper end above ground, and west, south, east and
@@ -141,7 +132,7 @@ def fill_facts(filled: Marks, core: Bounds) -> dict[str, list[float]]:
     beside = ndimage.convolve(filled.astype(np.int8), np.ones((3, 3, 1), np.int8), mode="constant")
     air = filled & (beside >= BESIDE)
     anywhere: Marks = np.asarray(air.any(axis=2))
-    found = [one for one in patches(anywhere) if one.squares >= PLACES]
+    found = [one for one in patches(anywhere) if PLACE_M**2 * one.squares >= WARNED_M2]
     if not found:
         return {FILLED: []}
     own = air[found[0].at][found[0].marked]
@@ -185,7 +176,7 @@ def floating(kept: Counts, stray: Marks) -> Counts:
     aloft = np.where(np.logical_or.accumulate(hangs, axis=2), kept, 0)
     count = aloft.sum(axis=2)
     under = np.where(hangs.any(axis=2), kept.sum(axis=2) - count, 0)
-    thick = np.count_nonzero(aloft, axis=2) >= THICK
+    thick = np.count_nonzero(aloft, axis=2) >= GAP
     found: Counts = np.where((thick & (under >= THIN * count)) | (count < THIN * under), count, 0)
     return found
 
@@ -212,10 +203,10 @@ def air_findings(done: Receipts, settings: FilterSettings) -> Iterator[Finding]:
             }  # fmt: skip
             yield Finding("N07", values, name, badness=highest_m)
     alpha = settings.alpha if settings.method == "vsaes" else 0.0
-    least = max(FLOAT_SHARE, FLOAT_TIMES * alpha)
+    least = FLOAT_SHARE + alpha
     cells = [(name, r.facts.get(FLOATS, ())) for name, r in done.get("ground", {}).items()]
     off = [(name, fact) for name, fact in cells if len(fact) > 2 and fact[0] > least * fact[1]]
-    if sum(fact[2] for _, fact in off) < FLOAT_M2:
+    if sum(fact[2] for _, fact in off) < WARNED_M2:
         return
     for name, (count, kept, area_m2, *box) in off:
         values = {"kind": "thick", "share": count / kept, "area_m2": area_m2}

@@ -16,7 +16,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.diagnostics.patches import largest_of_squares
+from spl_batch.airborne.afterpulse.law_warnings import UNEVEN
+from spl_batch.airborne.diagnostics.patches import WARNED_M2, largest_of_squares
+from spl_batch.airborne.noise.gains import SURE_SIGMA
 from spl_batch.airborne.noise.haze import CUBE_M, WINDOW
 from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.findings import Finding
@@ -26,30 +28,18 @@ from spl_batch.engine.tasks.task import Receipt
 RATIO: Final = 1.25
 SHARE: Final = 0.15
 """Times more, or less, noise than expected that a survey is warned of, and the part of the noise
-that it must concern; the model is within 1.03 in all strata that were simulated."""
-
-CELL_RATIO: Final = 1.5
-CELL_SHARE: Final = 0.3
-"""The same two of a block: those of 100 m of a scene that fits had 0.71 to 1.16 times the noise."""
-
-CELL_LEAST: Final = 300.0
-"""Noise that a block must be expected to hold to be judged alone [count]."""
-
-SIGMAS: Final = 5.0
-"""Standard deviations of a number of returns within which a difference is chance."""
+that it must concern; the model is within 1.03 in all strata that were simulated. A block is warned
+of from :data:`UNEVEN` times on: those of 100 m of a scene that fits had 0.71 to 1.16."""
 
 BAND: Final = 4
 """Layers of cubes in a band: 20 m."""
 
-HAZE_M2: Final = 500.0
-"""Area of haze that is warned of [m2]."""
-
 P_VALUES: Final = (0.01, 0.02, 0.05, 0.1, 0.2)
 """Values up to which p-values are counted. Larger ones are not resolved where noise is thin."""
 
-P_LEAST: Final = 200
-"""Returns that a value must have by the model: p-values of neighbours hang together, so that chance
-makes twice the difference that it makes otherwise [count]."""
+LEAST: Final = 300
+"""Returns that a block, or a p-value, must have by the model to be judged: p-values of neighbours
+hang together, so that chance makes twice the difference that it makes otherwise [count]."""
 
 P_TIMES: Final = (0.5, 1.5)
 """Small p-values over uniform ones that are no reason to warn: without beamlet numbers they are
@@ -72,8 +62,8 @@ def _layer_findings(blocks: Mapping[str, Receipt]) -> Iterator[Finding]:
         yield whole
         return
     for name, some in rows.items():
-        found = _worst_band(some, CELL_RATIO, CELL_SHARE)
-        if found is not None and sum(row[2] for row in some) >= CELL_LEAST:
+        found = _worst_band(some, UNEVEN, SHARE)
+        if found is not None and sum(row[2] for row in some) >= LEAST:
             yield found._replace(subject=name, place=_place(blocks[name]))
 
 
@@ -92,7 +82,7 @@ def _worst_band(layers: Sequence[Sequence[float]], ratio: float, share: float) -
         return None
     band, at = np.unique(np.floor(rows[:, 0] / BAND), return_inverse=True)
     seen, expected = (np.bincount(at, rows[:, k]).astype(np.float64) for k in (1, 2))
-    differs = np.abs(seen - expected) > SIGMAS * np.sqrt(np.maximum(expected, 1.0))
+    differs = np.abs(seen - expected) > SURE_SIGMA * np.sqrt(np.maximum(expected, 1.0))
     differs &= (seen > ratio * expected) | (seen < expected / ratio)
     total = float(expected.sum())
     if not differs.any() or expected[differs].sum() < share * total:
@@ -114,7 +104,7 @@ def _worst_band(layers: Sequence[Sequence[float]], ratio: float, share: float) -
 
 
 def haze(done: Receipts) -> Finding | None:
-    """Haze of a whole survey; None where there is less than :data:`HAZE_M2`."""
+    """Haze of a whole survey; None where there is less than :data:`WARNED_M2`."""
     listed = [
         place
         for receipt in done.get("denoise", {}).values()
@@ -123,7 +113,7 @@ def haze(done: Receipts) -> Finding | None:
     ]
     rows = np.array(listed).reshape(-1, 10)
     area_m2 = float(rows[:, 6].sum()) * CUBE_M**2
-    if area_m2 < HAZE_M2:
+    if area_m2 < WARNED_M2:
         return None
     at = (rows[:, :2] // WINDOW).astype(np.int64)
     _, place = largest_of_squares(at, WINDOW * CUBE_M)
@@ -154,7 +144,7 @@ def uniformity(counts: NDArray[np.int64]) -> tuple[float, float] | None:
     """
     total, value = int(counts.sum()), np.array(P_VALUES)
     times = np.cumsum(counts)[:-1] / (max(total, 1) * value)
-    enough = total * value >= P_LEAST
+    enough = total * value >= LEAST
     if not enough.any():
         return None
     worst = int(np.where(enough, np.abs(np.log(np.maximum(times, 1e-6))), -1.0).argmax())

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.filter.expected_noise import Look, NoiseModel
+from spl_batch.airborne.noise.gains import CHANCE_SIGMA
+from spl_batch.airborne.noise.ground_cells import PARTS
 from spl_batch.airborne.noise.haze import (
     CELL_M,
     CUBE_M,
@@ -25,15 +27,9 @@ from spl_batch.airborne.noise.haze import (
 )
 from spl_batch.lattice.tiles import quanta
 
-CHANCE: Final = 3.0
-"""Standard deviations of chance that are allowed where a square tells little."""
-
 STEP: Final = 1.1
 """Ratio of the model's noise from one layer to the next from which on a gate ends there: one of ten
 flightlines; elsewhere it changes over tens of metres."""
-
-EXACT: Final = 2.0**20
-"""Parts of an expected return: whole ones add up alike in any blocks."""
 
 
 class Layers(NamedTuple):
@@ -88,18 +84,18 @@ def noise_by_layer(
     asked &= full[:, :, np.newaxis]
     columns, cells = (sum_of_square(pairs) for pairs in (counts.columns, counts.cells))
     parts = round(CUBE_M / CELL_M)
-    asked &= parts * cells <= columns + CHANCE * np.sqrt(2.0 * (parts - 1) * columns)
+    asked &= parts * cells <= columns + CHANCE_SIGMA * np.sqrt(2.0 * (parts - 1) * columns)
     if air is not None:
         at = air.cube - [*counts.corner, 0]
         at[:, 2] = np.searchsorted(counts.layer, at[:, 2])
         asked[tuple(at.T)] = False
     lower, upper = quarters(counts.held, asked)
-    asked &= upper <= SMOOTH * (lower + CHANCE * np.sqrt(lower + 1.0))
+    asked &= upper <= SMOOTH * (lower + CHANCE_SIGMA * np.sqrt(lower + 1.0))
     at_middle = np.nonzero(asked)
     # The middle cube stands for its square.
     place = centres(counts, at_middle)
     model, seen = expected(place) * CUBE_M**3, counts.held[at_middle]
-    model = np.rint(model * EXACT) / EXACT
+    model = np.rint(model * PARTS) / PARTS
     heard = (model > 0.0) & ~_cut(place, heard_at or expected)
     returns, predicted = (
         np.bincount(at_middle[2][heard], values[heard], len(counts.layer))

@@ -1,10 +1,13 @@
 """Places that hang together."""
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+
+WARNED_M2: Final = 500.0
+"""Area of a place that is warned of [m2]."""
 
 BESIDE = np.ones((3, 3), np.bool_)
 """Squares that touch, at corners too, are one place."""

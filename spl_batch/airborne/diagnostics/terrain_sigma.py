@@ -6,18 +6,15 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.diagnostics.patches import patches
+from spl_batch.airborne.diagnostics.patches import WARNED_M2, patches
+from spl_batch.airborne.products.surface_rasters import OFF_M
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.run_record import Receipts
 from spl_batch.lattice.tiles import Bounds
 
-UNSURE_M: Final = 0.5
-"""Terrain that may be off by more than this is not known well [m]."""
-
 SHARE: Final = 0.03
-LARGEST_M2: Final = 200.0
-"""Share of the terrain from which on a survey is warned of, and area of one place [1, m2]."""
+"""Share of the terrain from which on a survey is warned of."""
 
 FACT: Final = "unsure"
 """Fact of a ground cell: cells with a height, those that are not known well [count], and area [m2]
@@ -26,7 +23,7 @@ and west, south, east and north [m] of their largest place."""
 
 def terrain_facts(quality: NDArray[np.float32], dtm: NDArray[np.float32], core: Bounds) -> Any:
     """What the report needs of a ground cell, by the name of its fact; rasters are north up."""
-    unsure = quality > UNSURE_M
+    unsure = quality > OFF_M
     known = int(np.count_nonzero(dtm != NODATA))
     fact: list[float] = [known, int(np.count_nonzero(unsure))]
     if unsure.any():
@@ -50,8 +47,8 @@ def terrain_findings(done: Receipts) -> Iterator[Finding]:
     if share is None or not places:
         return
     area_m2, _, box = max(places)
-    if share > SHARE or area_m2 >= LARGEST_M2:
-        values = {"share": share, "sigma_m": UNSURE_M, "area_m2": area_m2}
+    if share > SHARE or area_m2 >= WARNED_M2:
+        values = {"share": share, "sigma_m": OFF_M, "area_m2": area_m2}
         yield Finding("G01", values, place=box)
 
 

@@ -18,13 +18,15 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from spl_batch.airborne.noise.haze import CUBE_M
+from spl_batch.airborne.settings import FilterSettings
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import quanta
 from spl_batch.numerics.poisson import noise_tail_probability
 
 CROWDED: Final = 20
 """Refused returns of a 5 m cell, in the mean of a square, from which on noise is dense: 0.16 per m3
-[count]."""
+[count]. Half moves 7 + 0 labels, twice nothing."""
 
 RICH: Final = (4, 0.1)
 """Kept returns of a cell that is clearly richer than noise: their least number, and least share of
@@ -34,22 +36,18 @@ SQUARE: Final = 3
 """Columns on each side that are looked at: 35 m, as the wider box of stray returns."""
 
 LAYERS: Final = 2
-"""Layers above and below that belong to a column: ground may rise by 25 m in the square."""
+"""Layers above and below that belong to a column, as ground may rise by 25 m in the square, and
+those below the lowest surface that are not searched for noise alone [count]. Half moves nothing,
+twice 27 + 0 labels."""
 
 FULL: Final = 0.45
 """Least share of a square's columns that a surface fills; a shore along its middle passes."""
 
-CLEAR: Final = 2
-"""Layers below the lowest surface that are not searched for noise alone: 10 m."""
-
 NEAR_M: Final = 0.7
 """How near a surface's returns lie to each other [m]; noise that near moves the terrain less."""
 
-CHANCE: Final = 1e-3
-"""Share of noise of this density that has as many returns that near."""
-
-CELL_M3: Final = 125.0
-"""Volume of a cell [m3]."""
+CHANCE: Final = FilterSettings().alpha
+"""Share of noise of this density that has as many returns that near: what the filter keeps."""
 
 Cells = NDArray[np.int64]
 Marks = NDArray[np.bool_]
@@ -74,7 +72,7 @@ def dense_noise(kept: Cells, gone: Cells) -> NDArray[np.float32]:
     """
     mean = _squared(gone) / np.maximum(_squared(kept + gone > 0), 1)
     most = ndimage.maximum_filter1d(mean, 2 * LAYERS + 1, axis=2, mode="constant")
-    return np.where(most >= CROWDED, most / CELL_M3, 0.0).astype(np.float32)
+    return np.where(most >= CROWDED, most / CUBE_M**3, 0.0).astype(np.float32)
 
 
 def lonely(
@@ -116,7 +114,7 @@ def below_surfaces(surface: Marks) -> Marks:
 
     What was kept there is noise.
     """
-    wide = ndimage.maximum_filter(surface, (3, 3, 2 * CLEAR + 1), mode="constant")
+    wide = ndimage.maximum_filter(surface, (3, 3, 2 * LAYERS + 1), mode="constant")
     out: Marks = ~np.logical_or.accumulate(wide, axis=2) & wide.any(axis=2, keepdims=True)
     return out
 

@@ -25,14 +25,11 @@ from spl_batch.airborne.noise.haze import (
 from spl_batch.airborne.noise.local_noise import MARGIN_VOXELS, SQUARES, around, listened
 from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable, VoxelPart
+from spl_batch.lattice.tables import EXCLUDED, ROWS_AT_ONCE, PointFlag, PointTable, VoxelPart
 from spl_batch.lattice.tiles import Bounds, cell_index, inside, quanta, shared_box
 
 COLUMNS_OF_AIR: Final = ("x", "y", "z", "flags", "afterpulse")
 """Columns by which the air is looked at."""
-
-AT_ONCE: Final = 1 << 18
-"""Points whose voxels are looked up at once [count]."""
 
 
 class Share(Protocol):
@@ -154,7 +151,7 @@ def _box(xyz: Sequence[NDArray[np.integer[Any]]], edge: int, layers: Sequence[ra
 
 
 def _batches(n: int) -> Iterator[slice]:
-    return (slice(first, first + AT_ONCE) for first in range(0, n, AT_ONCE))
+    return (slice(first, first + ROWS_AT_ONCE) for first in range(0, n, ROWS_AT_ONCE))
 
 
 class HeldVoxels(NamedTuple):

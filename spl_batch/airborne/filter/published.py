@@ -52,13 +52,10 @@ from spl_batch.airborne.filter.ellipsoid.ellipsoid_shape import shape_of
 from spl_batch.airborne.filter.filter_interface import Cloud, Verdict, without_p
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.constants import QUANTA_PER_M
-from spl_batch.lattice.tables import BeamTable, PointTable
+from spl_batch.lattice.tables import ROWS_AT_ONCE, BeamTable, PointTable
 from spl_batch.lattice.tiles import quanta
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.kdtree import build
-
-BATCH: Final = 1 << 14
-"""Points whose neighbours are listed at once [count]."""
 
 OF_SHOTS: Final = ("dcc", "pixels")
 """Names of the filters of single shots."""
@@ -252,8 +249,8 @@ def in_cylinders(
     open_ = np.flatnonzero(~out)
     around = math.hypot(radius, height / 2)
     open_ = open_[in_spheres(tree, xyz[rows[open_]], math.ceil(around) + 1) >= least]
-    for first in range(0, len(open_), BATCH):
-        some = open_[first : first + BATCH]
+    for first in range(0, len(open_), ROWS_AT_ONCE):
+        some = open_[first : first + ROWS_AT_ONCE]
         near: Any = tree.query_ball_point(xyz[rows[some]], around)
         place = np.repeat(np.arange(len(some)), [len(one) for one in near])
         away = xyz[np.concatenate(near).astype(np.intp)].astype(np.int64) - xyz[rows[some]][place]

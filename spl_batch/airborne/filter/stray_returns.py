@@ -26,22 +26,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.beams.dependent_returns import dependents
-from spl_batch.airborne.filter.drowned_surfaces import around, below_surfaces, dense_noise, unfilled
+from spl_batch.airborne.filter.drowned_surfaces import (
+    SQUARE,
+    around,
+    below_surfaces,
+    dense_noise,
+    unfilled,
+)
+from spl_batch.airborne.noise.haze import CUBE_M
+from spl_batch.airborne.settings import FilterSettings
 from spl_batch.constants import NOISE_BACKGROUND, NOISE_SIGNAL
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, quanta
 
-CELL_M: Final = 5.0
+CELL_M: Final = CUBE_M
 """Edge of the cells in which returns are counted [m]."""
 
-KEPT_SHARE: Final = 0.002
+KEPT_SHARE: Final = 2.0 * FilterSettings().alpha
 """Twice the share of pure noise that the filter keeps by default: the least that is allowed for."""
 
 NOISE_QUANTILE: Final = 0.1
 NOISE_RETURNS: Final = 100
-NOISE_SHARE: Final = 0.5
-"""Wide boxes with so many returns tell the share of noise that is kept, by the tenth where least
-was kept. If that is more than half, few boxes hold noise alone, and nothing is known."""
+"""Wide boxes with so many returns, most of them refused, tell the share of noise that is kept, by
+the tenth where least was kept. Without any nothing is known."""
 
 
 class Box(NamedTuple):
@@ -57,13 +64,13 @@ class Box(NamedTuple):
 COLUMN: Final = Box(1, 12, 0.2)
 """15 m wide, of the whole height."""
 
-BOXES: Final = (Box(1, 30, 0.2), Box(3, 60, 0.06))
+BOXES: Final = (Box(1, 30, 0.2), Box(SQUARE, 60, 0.06))
 """15 m and 35 m wide, 15 m high; any surface that fills either is one. In much noise that is
 0.13 returns per m2 if the surface is small, and 0.05 if it continues."""
 
 Count = NDArray[np.int64]
 
-GAP: Final = 3
+GAP: Final = SQUARE
 """Empty cells along an axis that are kept of a wider gap: no box, no square of drowned surfaces and
 nothing that floats reaches farther [count]."""
 
@@ -214,9 +221,11 @@ def _kept_of_noise(kept: Count, gone: Count) -> float:
     ``kept, gone`` (n,): returns of the widest box around each cell that holds any [count].
     """
     held = kept + gone
-    told = held >= NOISE_RETURNS
-    share = float(np.quantile(kept[told] / held[told], NOISE_QUANTILE)) if told.any() else 1.0
-    return KEPT_SHARE if share > NOISE_SHARE else max(KEPT_SHARE, 2.0 * share / (1.0 - share))
+    told = (held >= NOISE_RETURNS) & (gone > kept)
+    if not told.any():
+        return KEPT_SHARE
+    share = float(np.quantile(kept[told] / held[told], NOISE_QUANTILE))
+    return max(KEPT_SHARE, 2.0 * share / (1.0 - share))
 
 
 def _bare_boxes(held: Sequence[tuple[Count, Count]], odds: float) -> NDArray[np.bool_]:

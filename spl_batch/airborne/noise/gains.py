@@ -16,8 +16,11 @@ from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.lattice.tables import BeamTable, PointTable
 
-CLEAR_SIGMA: Final = 3.0
-"""Poisson deviations by which a cell may hear more noise between two buffers than beyond both."""
+CHANCE_SIGMA: Final = 3.0
+"""Poisson deviations within which a difference between two counts may be chance."""
+
+SURE_SIGMA: Final = 5.0
+"""Poisson deviations from which on it is none, however many are compared: one of a million."""
 
 
 def active_channels(
@@ -58,7 +61,7 @@ def channel_gains(
     n = by_channel[used].astype(np.float64)
     # Weak channels are different: only ordinary ones share a prior.
     usual = float(np.median(n))
-    ordinary = np.abs(n - usual) <= 5.0 * np.sqrt(usual + 1.0)
+    ordinary = np.abs(n - usual) <= SURE_SIGMA * np.sqrt(usual + 1.0)
     expected = float(n[ordinary].mean())
     weight = prior_weight(by_channel[used][ordinary], np.full(ordinary.sum(), expected))
     raw = np.where(ordinary, (n + weight) / (expected + weight), n / expected)
@@ -101,7 +104,7 @@ def ground(
     between_n, between = n[1] - n[0], np.maximum(model[1] - model[0], 0.0)
     # With one gain the difference is 0 but for chance, with this variance. Signal only adds.
     chance = n[1] * between * model[0]
-    clear = between_n * model[0] - n[0] * between <= CLEAR_SIGMA * np.sqrt(chance)
+    clear = between_n * model[0] - n[0] * between <= CHANCE_SIGMA * np.sqrt(chance)
     n, model = (np.where(clear, values[1], values[0]) for values in (n, model))
     return cell, ground_gains(cell, n, model)
 

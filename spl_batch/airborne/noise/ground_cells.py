@@ -10,25 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.beams.shot_runs import run_starts
-from spl_batch.airborne.noise.noise_intervals import (
-    GROUP_RETURNS,
-    GROUPS_MAX,
-    SUMMARY,
-    signal_depths,
-)
+from spl_batch.airborne.noise.noise_intervals import GROUP_RETURNS, SUMMARY, signal_depths
 from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import BeamTable, PointTable
 
 CELL_M: Final = 2.5
-"""Edge of a ground cell: half of a shot's patch [m]."""
+"""Edge of a ground cell: half of a shot's patch [m]. Half and twice move 312 + 0 and 223 + 10
+labels."""
 
-STRIDE: Final = 2**31
+STRIDE: Final = int(np.iinfo(np.int32).max) + 1
 """Cell (i, j) has the number i x stride + j."""
 
-SHOT: Final = 2**20
-"""What the beamlets that are seen of one shot share as looks, in whole numbers."""
+PARTS: Final = 2**20
+"""Parts of a whole that is shared out, or added up: whole numbers add up alike in any order."""
 
 
 class Signal(NamedTuple):
@@ -50,7 +46,7 @@ def signal_of(table: PointTable, beams: BeamTable, settings: NoiseSettings) -> S
     size = np.diff(starts)
     # Sorted all at once: numpy has vector instructions for it, a kernel has none.
     order = lexicographic_order([np.repeat(np.arange(len(size)), size), table["z"]])
-    groups = np.clip(size // GROUP_RETURNS, 1, min(GROUPS_MAX, settings.interval_shots))
+    groups = np.clip(size // GROUP_RETURNS, 1, settings.interval_shots)
     first = np.append(0, np.cumsum(groups))
     found = Signal(
         starts, order, groups, np.empty(first[-1]), np.zeros((len(size), len(SUMMARY))),
@@ -88,14 +84,14 @@ def look_through(
         Pair of each return.
     looks : dict
         ``looks`` (m,), pairs of each interval; ``look_cell`` (l,), number of the cell;
-        ``look_number`` (l,), looks, of which each shot has :data:`SHOT`.
+        ``look_number`` (l,), looks, of which each shot has :data:`PARTS`.
     """
     cell = cells(table, beams, signal.below)
     shot = run_starts(table["gps_time"])
     beamlet = run_starts(table["gps_time"], table["channel"])
     of_shot = np.diff(np.searchsorted(beamlet, shot))
     share = np.zeros(len(table), np.int64)
-    share[beamlet[:-1]] = np.repeat(SHOT // np.maximum(of_shot, 1), of_shot)
+    share[beamlet[:-1]] = np.repeat(PARTS // np.maximum(of_shot, 1), of_shot)
     interval = np.repeat(np.arange(len(signal.groups)), np.diff(signal.starts))
     order = lexicographic_order([interval, *np.divmod(cell, STRIDE)])
     starts = run_starts(interval[order], cell[order])

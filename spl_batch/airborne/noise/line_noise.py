@@ -22,28 +22,24 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from spl_batch.airborne.noise.gains import active_channels, channel_gains, ground, prior_weight
+from spl_batch.airborne.noise.gains import (
+    SURE_SIGMA,
+    active_channels,
+    channel_gains,
+    ground,
+    prior_weight,
+)
 from spl_batch.airborne.noise.gate import Gate, fit_gate
 from spl_batch.airborne.noise.line_model import LineModel
-from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER
+from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER, HALF, SUPPORT
 from spl_batch.airborne.noise.noise_intervals import SUMMARY
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.engine.findings import Finding
 from spl_batch.lattice.tables import BeamTable, PointTable
 
-SEEN_TARGET: Final = 15.0
-"""Seen beamlets that a window of shots should have; exp(-15) of the windows are empty."""
-
-RETURNS_MIN: Final = 20.0
-"""Least seen beamlets per interval: with fewer, the median is one of the noise returns."""
-
-NEARER: Final = 3
-"""Rung of the ladder of buffers, half of the widest, from which on noise counts for gains of the
-ground: only a third of a gate of 150 m lies beyond the widest one."""
-
 REGION_MIN: Final = 0.2
-"""Least share of the gate in a noise region."""
+"""Least share of the gate in a noise region. Half moves nothing, twice 497 + 0 labels."""
 
 
 def fit(
@@ -74,7 +70,7 @@ def fit(
     region = choose_region(outside, fired[:, None, None] * length, fired, gate, summary)
     sides = np.array(region.sides)
     counted = (outside[:, :, region.buffer] @ sides).astype(np.int64)
-    nearer = max(region.buffer, NEARER)
+    nearer = max(region.buffer, HALF)
     blinded = np.where(present[:, None, None], merged["blinded"][rows], 0.0)
     listened = np.maximum(sides @ (fired[:, None, None] * length - blinded), 0.0)
     heard = listened[:, region.buffer]
@@ -174,7 +170,7 @@ def choose_region(
         return Region(b, (1.0, 1.0), notes)
     up, down = n_up / e_up, n_down / e_down
     spread = np.sqrt((n_up + 1) / e_up**2 + (n_down + 1) / e_down**2)
-    if abs(up - down) <= max(0.15 * min(up, down), 5 * spread):
+    if abs(up - down) <= max(0.15 * min(up, down), SURE_SIGMA * spread):
         return Region(b, (1.0, 1.0), notes)
     more, side = ("above", "below") if up > down else ("below", "above")
     times = float(max(up, down) / min(up, down))
@@ -189,7 +185,7 @@ def _remarks(merged: dict[str, NDArray[Any]]) -> Iterator[Finding]:
     Strays lie far beyond the gate.
     """
     per_interval = float(merged["beamlets"].mean())
-    if per_interval < RETURNS_MIN:
+    if per_interval < SUPPORT:
         low = 1.0 / max(per_interval, 1.0)
         values = {"kind": "few", "per_interval": per_interval, "low": low}
         yield Finding("N01", values, badness=-per_interval)
@@ -279,10 +275,13 @@ def _smooth(
 
 
 def _seen_window(seen: NDArray[np.int64], fired: NDArray[np.int64], interval_shots: int) -> int:
-    """Shots over which seen beamlets stand in for silent ones: a divisor of the interval."""
+    """Shots over which seen beamlets stand in for silent ones: a divisor of the interval.
+
+    A window has :data:`~spl_batch.airborne.noise.line_statistics.SUPPORT` of them.
+    """
     per_shot = float(seen.sum()) / float(fired.sum())
     for shots in range(1, interval_shots + 1):
-        if interval_shots % shots == 0 and shots * per_shot >= SEEN_TARGET:
+        if interval_shots % shots == 0 and shots * per_shot >= SUPPORT:
             return shots
     return interval_shots
 

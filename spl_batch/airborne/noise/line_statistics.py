@@ -6,9 +6,9 @@ or is an integer count, so parts merge in any order.
 Deviations: because of relief, the peak is sought in pieces of an interval as short as its returns
 allow, in a sliding window instead of 1 m bins. Several buffers are counted side by side: how much
 the gate leaves is known only at the end. A return that follows another of its own beamlet within
-:data:`FOLLOWER_M` may be its afterpulse and is not counted; the length that returns blind is taken
-off the exposure. It counts where this would blind more than half of the gate, as where much noise
-comes without channel numbers.
+:data:`LAG_M` may be its afterpulse and is not counted; the length that returns blind is taken off
+the exposure. It counts where this would blind more than half of the gate, as where much noise comes
+without channel numbers.
 """
 
 from collections.abc import Sequence
@@ -17,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.beams.dependent_returns import LAG_M
 from spl_batch.airborne.beams.shot_runs import blind_behind, lag_behind, run_starts
 from spl_batch.airborne.noise.ground_cells import look_through, signal_of
 from spl_batch.airborne.noise.noise_intervals import count_noise, far_beyond
@@ -25,27 +26,28 @@ from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.tables import BeamTable, PointTable, rows_of
 
 BUFFER_LADDER: Final = (1.0, 0.8, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1)
-"""Buffers that are counted, as shares of ``noise.buffer_m``."""
+"""Buffers that are counted, as shares of ``noise.buffer_m``. Half and twice move 699 + 54 and 248 +
+33 labels."""
 
-FOLLOWER_M: Final = 5.0
-"""Reach of afterpulses; [W17] ch. 7 finds nearly all within 2-3 m [m]."""
-
-BLIND_MOST: Final = 0.5
-"""Blinded share of an interval's gate from which on followers count as noise too: what is left is
-the difference of two large lengths, and may be nothing."""
+HALF: Final = BUFFER_LADDER.index(0.5)
+"""Rung of half the widest buffer: only a third of a gate of 150 m lies beyond the widest one."""
 
 SUPPORT: Final = 20
-"""Returns away from the surface from which on a window tells where its gate ends [count]."""
-
-LONE_MOST: Final = 2
-"""Returns of an interval, or intervals of a window, that may be no end of the gate [count]."""
+"""Returns that a rate, a spacing or the end of a gate is believed by: chance leaves an error of a
+fifth [count]."""
 
 LONE_SPACINGS: Final = 12.0
-"""They lie farther beyond the next one than so many mean spacings of the noise on their side: fewer
-than six of a million ends of uniform noise do [count]."""
+"""What is no end of a gate lies farther beyond the next return than so many mean spacings of the
+noise on its side: fewer than six of a million ends of uniform noise do [count]. Half moves 49 + 0
+labels, twice nothing."""
 
 STRAY_SHARE: Final = 0.1
-"""Share of the noise on a side of the signal that may lie beyond the gate."""
+"""Share of the noise on a side of the signal that may lie beyond the gate. Half moves nothing,
+twice 6 + 0 labels."""
+
+LONE_MOST: Final = int(STRAY_SHARE * SUPPORT)
+"""That share of the least noise that shows its spacing: so many returns of an interval, or
+intervals of a window, may be no end of the gate, however little noise there is [count]."""
 
 _BY_INTERVAL: Final = (
     "interval", "summary", "outside", "blinded", "returns", "beamlets", "shots", "first", "last",
@@ -109,8 +111,8 @@ def _observed(
     m, b = len(starts) - 1, len(BUFFER_LADDER)
     lag = np.empty(len(table), dtype=np.float32)
     blind = np.empty(len(table), dtype=np.float64)
-    lag_behind(beamlet, beams.range_m, 0.0, FOLLOWER_M, lag)
-    blind_behind(beamlet, beams.range_m, FOLLOWER_M, blind)
+    lag_behind(beamlet, beams.range_m, 0.0, LAG_M, lag)
+    blind_behind(beamlet, beams.range_m, LAG_M, blind)
     crowded = _crowded(beamlet, starts, beams.range_m, blind)
     lag[crowded], blind[crowded] = 0.0, 0.0
     look, looks = look_through(table, beams, seen)
@@ -140,8 +142,8 @@ def _observed(
     out["outside"] = np.add.reduceat(out["look_outside"], first) if m else out["look_outside"]
     gone = np.zeros(len(table), np.bool_)
     out["strays"][0] = far_beyond(
-        starts, table["z"][seen.order] * QUANTUM_M, seen.summary[:, 0], out["outside"][:, :, 3],
-        settings.buffer_m * BUFFER_LADDER[3], (SUPPORT, LONE_MOST, STRAY_SHARE, LONE_SPACINGS),
+        starts, table["z"][seen.order] * QUANTUM_M, seen.summary[:, 0], out["outside"][:, :, HALF],
+        settings.buffer_m * BUFFER_LADDER[HALF], (SUPPORT, LONE_MOST, STRAY_SHARE, LONE_SPACINGS),
         gate_m or np.inf, gone,
     )  # fmt: skip
     lone[np.flatnonzero(chosen)[seen.order[gone]]] = True
@@ -154,13 +156,17 @@ def _crowded(
     range_m: NDArray[np.float64],
     blind_m: NDArray[np.float64],
 ) -> NDArray[np.bool_]:
-    """Returns of intervals whose followers blind too much of their own gate: (n,) bool."""
+    """Returns of intervals whose followers blind most of their own gate: (n,) bool.
+
+    What is left is the difference of two large lengths, and may be nothing: there they count too.
+    """
     if len(starts) < 2:
         return np.zeros(len(range_m), dtype=np.bool_)
     first = starts[:-1]
     gate_m = np.maximum.reduceat(range_m, first) - np.minimum.reduceat(range_m, first)
     heard_m = gate_m * _runs_per_interval(beamlet, starts)
-    crowded = np.add.reduceat(blind_m, first) > BLIND_MOST * heard_m
+    blinded_m = np.add.reduceat(blind_m, first)
+    crowded = blinded_m > heard_m - blinded_m
     found: NDArray[np.bool_] = np.repeat(crowded, np.diff(starts))
     return found
 

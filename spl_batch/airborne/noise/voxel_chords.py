@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.simd import LANES
 
-MOST: Final = 65535
+MOST: Final = int(np.iinfo(np.uint16).max)
 """Where the count of a square stops."""
 
 

@@ -17,6 +17,7 @@ from spl_batch.airborne.plan.task_memory import STRETCH_POINTS, halo_m, needs
 from spl_batch.airborne.products.product_table import ABOVE_GEOID, PRODUCTS, products
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.tasks.index import parts_of
+from spl_batch.airborne.tasks.reference import REFERENCE_POINT_BYTES
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.plan.budget import Cost, measured_rates
 from spl_batch.formats.units import Units
@@ -28,9 +29,6 @@ STORE_BYTES_PER_POINT: Final = 60
 
 DELIVERED_BYTES_PER_POINT: Final = 12
 """Classified LAZ, as files, as tiles or as an octree [byte]."""
-
-REFERENCE_BYTES_PER_POINT: Final = 35
-"""A point of the reference in the working store while its file is cut into squares [byte]."""
 
 
 class Pace(NamedTuple):
@@ -135,7 +133,7 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
         halo_m=halo_m(workflow),
         tasks=sum(tasks.values()),
         disk_bytes=points * (STORE_BYTES_PER_POINT + _copies(workflow) * DELIVERED_BYTES_PER_POINT)
-        + compared * REFERENCE_BYTES_PER_POINT
+        + compared * REFERENCE_POINT_BYTES
         + _raster_bytes(survey, tiles * (survey.tile_q / QUANTA_PER_M) ** 2),
         memory_bytes=heaviest.memory_bytes,
         heaviest=heaviest.task,

@@ -10,14 +10,11 @@ import numpy as np
 from spl_batch.airborne.accuracy.differences import OPEN_M
 from spl_batch.airborne.plan.space_tasks import points_of
 from spl_batch.airborne.plan.survey_ledger import Survey
-from spl_batch.airborne.plan.task_memory import UNEVEN, points_within, refusal
+from spl_batch.airborne.plan.task_memory import STRETCH_POINTS, UNEVEN, points_within, refusal
 from spl_batch.engine.plan.input_files import source_key
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.task import Task
 from spl_batch.lattice.tiles import CellId, cell_bounds, overlap, parse_cell, quanta
-
-SQUARE_POINTS: Final = 1_000_000
-"""Points that a square holds on average, at most, where no two files overlap [count]."""
 
 MARGIN_CELLS: Final = 2
 """Raster cells whose tops tell whether their neighbour is a roof's edge [count]."""
@@ -119,7 +116,7 @@ def _lattice(survey: Survey) -> tuple[int, int]:
     boxes = [facts for facts in survey.inputs.reference.usable if facts.n_points]
     area_m2 = sum(facts.area_m2 for facts in boxes)
     points = sum(facts.n_points for facts in boxes)
-    held = min(SQUARE_POINTS, points_within("accuracy", survey.memory_bytes) // UNEVEN)
+    held = min(STRETCH_POINTS, points_within("accuracy", survey.memory_bytes) // UNEVEN)
     wanted = quanta(math.sqrt(area_m2 * held / max(points, 1)))
     edge = cell
     while edge <= 2 * margin or 2 * edge <= wanted:

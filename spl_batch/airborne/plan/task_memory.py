@@ -37,7 +37,7 @@ RASTER_BYTES: Final = 400
 """Memory of a surface cell by each raster cell of it and its margin [byte]."""
 
 STRETCH_POINTS: Final = 1_000_000
-"""Points that a stretch holds on average [count]."""
+"""Points that a stretch holds on average, or a square of a reference, at most [count]."""
 
 UNEVEN: Final = 2
 """A stretch is a span of time: where much returns, it holds more than the average, up to this."""

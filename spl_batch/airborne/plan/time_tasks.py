@@ -20,9 +20,6 @@ from spl_batch.engine.plan.input_files import source_key
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.task import Need, Task
 
-POSITIONS_MARGIN_S = 30.0
-"""More than the longest gap of a trajectory that is interpolated over, and leap seconds [s]."""
-
 FEW_POINTS: Final = 0.001
 """Share of points at either end of all times that may be wrong ones."""
 
@@ -238,7 +235,10 @@ def _line_needs(survey: Survey, line: Flightline) -> tuple[Need, ...]:
 
 
 def _near(positions: Mapping[str, str], low_s: float, high_s: float) -> list[str]:
-    """Hashes of the positions that beams of a span of time are interpolated from."""
-    first = int((low_s - POSITIONS_MARGIN_S) // POSITIONS_S)
-    last = int((high_s + POSITIONS_MARGIN_S) // POSITIONS_S)
+    """Hashes of the positions that beams of a span of time are interpolated from.
+
+    And of those beside: gaps that are interpolated over are shorter, and leap seconds fewer.
+    """
+    first = int((low_s - POSITIONS_S) // POSITIONS_S)
+    last = int((high_s + POSITIONS_S) // POSITIONS_S)
     return [positions.get(str(span), "") for span in range(first, last + 1)]

@@ -22,7 +22,7 @@ from spl_batch.numerics.neighbours.point_grid import PointGrid
 
 NEAR_GROUND_M: Final = 10.0
 """How far above or below the ground around a return counts [m]: a beam that leans by 15 degrees is
-3 m off there."""
+3 m off there. Half moves 96 + 32 cells of the density, twice 574 + 405 cells of the density."""
 
 
 def about_ground(

@@ -40,6 +40,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.afterpulse.hard_surfaces import SHARP
 from spl_batch.airborne.ground.water.level import REACH_M, flattened, in_water, water_levels
 from spl_batch.airborne.products.cell_values import (
     by_cell,
@@ -73,18 +74,17 @@ COLUMNS_OF_INTENSITY: Final = ("intensity", "return_number")
 OPTIONAL: Final = (*COLUMNS_OF_INTENSITY, "afterpulse", "noise_density")
 """All that it reads where it is there: what the time domain and the filter give."""
 
-FLOOR_SIGMA: Final = 3.0
-"""Ground returns this near to the median of their cell are no outliers [standard deviations of a
-range]."""
-
 NEAR_M: Final = 2.0
-"""A cell with ground returns no farther from its centre is as high as the nearest of them [m]."""
+"""A cell with ground returns no farther from its centre is as high as the nearest of them [m]. Half
+moves nothing, twice 3 + 0 cells of its sigma."""
 
 OFF_M: Final = 0.5
-"""Less beyond their range and what their slope explains is left to the surface [m]."""
+"""Terrain that is off by more is wrong: less beyond the range of the nearest ground and what its
+slope explains is left to the surface [m]."""
 
 CORNER_CELLS: Final = 3
-"""Returns so near to a corner of the area that is read cover it [raster cells]."""
+"""Returns so near to a corner of the area that is read cover it [raster cells]. Without, a hall
+that is wider than the margin leaves a void in the terrain near its walls."""
 
 
 def margin_cells(settings: ProductSettings) -> int:
@@ -140,7 +140,9 @@ class _Surfaces:
         if any(edge % size for edge in cell):
             raise ValueError(f"ground cell {cell} is not aligned to raster cells of {size} quanta")
         self._cell, self._settings, self._size = cell, settings, size
-        self._floor_m = FLOOR_SIGMA * range_sigma_m
+        self._floor_m = (
+            SHARP * range_sigma_m
+        )  # ground returns so near to their median are no outliers
         self.region = grow(cell, margin_cells(settings) * size)
         self._table = table
         near = (table["ground"] == 1) & inside(table["x"], table["y"], self.region)

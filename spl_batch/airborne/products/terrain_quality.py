@@ -21,36 +21,36 @@ for no more than the variance by which cells differ beyond what noise alone expl
 It cannot show what no point tells: shrubs or a terrace of fill that were taken for ground.
 """
 
+import math
 from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.products.gap_surface import ENOUGH
 from spl_batch.numerics.nearest_cells import distances, nearest_cells
 
 RINGS: Final = (1, 2, 4, 8)
 """Inner radii of the rings [cells]; the outer one is twice the inner. Of cells finer than
 :data:`CELL_M` so many together count as one: nearer ground stands in the same growth and on the
-same stone, and what it agrees about is no sign of how well either is known."""
+same stone, and what it agrees about is no sign of how well either is known. Half moves 123 + 28
+cells of its sigma, twice 6905 + 7023 cells of its sigma."""
 
 CELL_M: Final = 1.0
-"""Least edge of what counts as a cell of a ring [m]."""
+"""Least edge of what counts as a cell of a ring [m]. Half moves nothing, twice 6905 + 7023 cells of
+its sigma."""
 
 AROUND: Final = 12
-"""Cells on each side whose differences are averaged [cells]."""
+"""Cells on each side whose differences are averaged [cells]. Half moves 6905 + 7019 cells of its
+sigma, twice 6905 + 7020 cells of its sigma."""
 
-_ENOUGH = 6
-"""Cells with ground that a ring must hold [count]."""
-
-_HALF_NORMAL = 1.2533
+_HALF_NORMAL = math.sqrt(math.pi / 2.0)
 """Standard deviation for each mean absolute value of a normal distribution."""
 
 _DAMPING = 0.25
-"""Added to the scatter of a ring's places, which a gap may put on one line [cells2]."""
-
-_SLOPE_CELLS = 2
-"""Cells on each side whose ground tells the slope that returns scatter about [cells]."""
+"""Added to the scatter of a ring's places, which a gap may put on one line [cells2]. Half moves
+6905 + 7019 cells of its sigma, twice 6905 + 7020 cells of its sigma."""
 
 Grid = NDArray[np.float64]
 
@@ -122,9 +122,13 @@ def terrain_sigma(means: Grid, cell_m: float, scatter: Scatter | None = None) ->
 
 
 def _layer_variance(scatter: Scatter, integrals: Grid, differ: Grid, cell_m: float) -> Grid:
-    """Variance of ground within the layer of its returns; ``differ``: of means among cells [m2]."""
+    """Variance of ground within the layer of its returns; ``differ``: of means among cells [m2].
+
+    The ground as far as the second ring begins tells the slope that returns scatter about.
+    """
     shape = scatter.returns.shape
-    sums = (_boxes(field, 2 * rings(cell_m)[-1], _SLOPE_CELLS) for field in integrals)
+    radii = rings(cell_m)
+    sums = (_boxes(field, 2 * radii[-1], radii[1]) for field in integrals)
     *_, east, north = _planes(sums, 1)
     east, north = (np.where(np.isnan(slope), 0.0, slope) / cell_m for slope in (east, north))
     xx, xy, yy, xz, yz, zz = np.moveaxis(scatter.products, -1, 0)
@@ -163,7 +167,7 @@ def _differences(places: Grid, integrals: Grid, radii: tuple[int, ...]) -> Grid 
         _add_up(sums)
         count, total = _boxes(sums, AROUND, AROUND)
         level[:] = np.nan
-        np.divide(_HALF_NORMAL * total, count, out=level, where=count > _ENOUGH - 0.5)
+        np.divide(_HALF_NORMAL * total, count, out=level, where=count > ENOUGH - 0.5)
     nowhere = np.asarray(np.isnan(levels).all(axis=0))
     if nowhere.all():
         return None
@@ -187,7 +191,7 @@ def _off_ring(places: Grid, integrals: Grid, room: int, ring: int) -> Grid:
     """
     x, y, z = np.moveaxis(places, -1, 0)
     sums = (_boxes(field, room, 2 * ring) - _boxes(field, room, ring - 1) for field in integrals)
-    middle_x, middle_y, middle_z, east, north = _planes(sums, _ENOUGH)
+    middle_x, middle_y, middle_z, east, north = _planes(sums, ENOUGH)
     above = east * (x - middle_x) + north * (y - middle_y)
     off: Grid = np.abs(z - (middle_z + above))
     return off

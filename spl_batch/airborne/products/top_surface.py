@@ -39,7 +39,8 @@ from spl_batch.numerics.neighbours.kdtree import sort_in
 from spl_batch.numerics.sorting import sort
 
 PIT_M: Final = 2.0
-"""Cells so far below most of those around are pits [m]."""
+"""Cells so far below most of those around are pits [m]. Half moves 1 + 1 cells of the DSM, twice
+nothing."""
 
 PIT_NEIGHBOURS = 6
 """Of eight cells around, those that have to stand above a pit [count]."""

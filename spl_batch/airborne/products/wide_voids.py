@@ -23,7 +23,7 @@ RIM_M: Final = 5.0
 """Half the width of a void at the edge of a survey, at least [m]."""
 
 SQUARES: Final = 2**22
-"""A raster is looked at in no more squares than this [count]."""
+"""Squares that a raster, or a flightline, is looked at in, at most [count]."""
 
 Blocks = Iterable[tuple[int, int, NDArray[np.float32]]]
 """First row, first column and values of pieces of a raster, row 0 northernmost."""

@@ -28,6 +28,7 @@ from rasterio.features import shapes
 from scipy import ndimage
 
 from spl_batch.airborne.products.cell_values import at_centres, held, owned, shape_of
+from spl_batch.airborne.products.wide_voids import SQUARES
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.row_order import distinct
 from spl_batch.lattice.tiles import Bounds, grow, quanta
@@ -45,9 +46,6 @@ fills it."""
 
 SQUARE_M2: Final = (EDGE_Q * QUANTUM_M) ** 2
 """Area of a square [m2]."""
-
-MOST: Final = 2**22
-"""A flightline is drawn in no more squares than this [count]."""
 
 Found = list[int]
 """A swath of a region: number of its flightline; squares and first returns, of all and of its
@@ -228,7 +226,7 @@ def _outline(pieces: Sequence[tuple[Bounds, str]]) -> shapely.MultiPolygon:
     squares = [piece for piece, _ in pieces]
     west, south = min(one.xmin for one in squares), min(one.ymin for one in squares)
     east, north = max(one.xmax for one in squares), max(one.ymax for one in squares)
-    coarser = int(np.ceil(np.sqrt((north - south) * (east - west) / MOST)))
+    coarser = int(np.ceil(np.sqrt((north - south) * (east - west) / SQUARES)))
     west, south = (side // coarser * coarser for side in (west, south))
     drawn = np.zeros((-(-(north - south) // coarser), -(-(east - west) // coarser)), np.uint8)
     for piece, text in pieces:

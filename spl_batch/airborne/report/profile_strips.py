@@ -28,9 +28,6 @@ _LOW_M = 0.5
 _GROUND_SHARE = 0.2
 """Part of the covered cells that such surfaces are, at which a strip shows enough of the ground."""
 
-_COVER_M = 1.0
-"""What a cell with a surface counts for besides: a picture shows no empty place [m]."""
-
 
 def read_strip(
     strip: Bounds, done: Mapping[str, Mapping[str, Receipt]], context: Context
@@ -60,13 +57,14 @@ def tallest_strip(height: RasterPart) -> Bounds:
     """Covered strip with the largest sum of heights above ground; the first of equals.
 
     Heights count in full where the strip also shows :data:`_GROUND_SHARE` of ground: under a closed
-    canopy there is hardly any, and a profile of leaves alone tells nothing of the terrain.
+    canopy there is hardly any, and a profile of leaves alone tells nothing of the terrain. A cell
+    with a surface counts for a metre besides: a picture shows no empty place.
     """
     known = height.values > NODATA
     capped = np.where(known, np.clip(height.values.astype(np.float64), 0.0, _TALLEST_M), 0.0)
     cover, low = (strip_sums(height, some) for some in (known, known & (capped <= _LOW_M)))
     open_share = np.minimum(low / np.maximum(cover, 1.0) / _GROUND_SHARE, 1.0)
-    return best_strip(height, _COVER_M * cover + strip_sums(height, capped) * open_share)[0]
+    return best_strip(height, cover + strip_sums(height, capped) * open_share)[0]
 
 
 def strip_sums(part: RasterPart, values: NDArray[Any]) -> NDArray[np.float64]:

@@ -45,9 +45,6 @@ SAMPLE: Final = 500_000
 OWN_EDGE_M: Final = 10.0
 """Edge of the window of a square in which the reference's points are sought in the survey [m]."""
 
-OWN_SHARE: Final = 0.5
-"""Share of these that are the survey's own to the millimetre: of another survey's hardly any is."""
-
 EVERY: Final = 8
 """Of the kept returns one in so many is compared, by its coordinates [count]."""
 
@@ -185,8 +182,11 @@ def _own_share(done: Receipts) -> float | None:
 
 
 def own_points(share: float | None) -> Iterator[Finding]:
-    """Whether a reference holds the survey's own points."""
-    if share is not None and share > OWN_SHARE:
+    """Whether most points of a reference are the survey's own to the millimetre.
+
+    Of another survey's hardly any is.
+    """
+    if share is not None and share > 1.0 - share:
         yield Finding("C02", {"kind": "own", "share": share})
 
 

@@ -35,7 +35,7 @@ from spl_batch.lattice.tiles import (
     whole_cells,
 )
 
-IN_NO_TILE: Final = 255
+IN_NO_TILE: Final = int(np.iinfo(np.uint8).max)
 """Flags of points that nothing has looked at: those that the input withholds or calls noise."""
 
 PLACE: Final = ("x", "y", "z")

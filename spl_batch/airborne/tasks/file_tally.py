@@ -38,9 +38,6 @@ SEASON_POINTS: Final = 100
 SPANS_FEW: Final = 100
 """So many spans with next to no points are kept: a tile cuts corners of flightlines [count]."""
 
-LONE_SPANS: Final = 1000
-"""Of more spans of a chunk with next to no points nothing is kept in memory [count]."""
-
 FLOWN_S: Final = 50 * YEAR_S
 """Nobody has flown so long before or after the middle of a file's times, with any points [s]."""
 
@@ -109,7 +106,7 @@ def _without_lone(table: PointTable, gap_s: float) -> PointTable:
     opens = (np.diff(line[order]) != 0) | (np.diff(time[order]) > gap_s)
     span = np.concatenate([np.zeros(min(len(order), 1), np.intp), np.cumsum(opens)])
     lone = np.bincount(span) < SEASON_POINTS
-    if np.count_nonzero(lone) <= LONE_SPANS:
+    if np.count_nonzero(lone) <= SPANS_FEW:
         return table
     keep = np.ones(len(table), np.bool_)
     keep[order[lone[span]]] = False

@@ -17,6 +17,7 @@ from pyproj import CRS
 from spl_batch.airborne.accuracy.raster_and_reference import Raster, Reference
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.settings import ReferenceSettings
+from spl_batch.airborne.tasks.index import CHUNK_POINTS
 from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.tasks.context import Produced
@@ -29,10 +30,6 @@ from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import COLUMNS, PointTable
 from spl_batch.lattice.tiles import Bounds, CellId, inside, parse_cell
 
-CHUNK_POINTS: Final = 1_000_000
-"""Points that are read and written at a time [count]: each chunk is a group of rows of every square
-that it touches."""
-
 _KEPT: Final = ("x", "y", "z", "input_class")
 """Columns that a square keeps of a point."""
 
@@ -41,9 +38,14 @@ _DTYPES: Final[Mapping[str, Any]] = {
 }  # fmt: skip
 """Column and row of a square, and what it keeps."""
 
+REFERENCE_POINT_BYTES: Final = sum(np.dtype(kind).itemsize for kind in _DTYPES.values())
+"""A point of a reference in the working store [byte]."""
+
 
 def reference(args: Mapping[str, Any], context: Context) -> Produced:
     """Put down the points of a reference file by squares of the survey's lattice.
+
+    Each chunk that is read is a group of rows of every square that it touches.
 
     Each square has a margin, whose points do not count but tell what stands nearby: what is
     said of a point depends neither on the cutting nor on the file that it came in.

@@ -40,7 +40,7 @@ def survey(
         afterpulse_rate=np.concatenate([np.zeros(n), np.full(m, rate)]),
         afterpulse_share=np.full(n + m, 0.15),
         line_density=np.full(n + m, NOISE_PER_M),
-        range_sigma=np.zeros(n + m),
+        range_sigma=np.full(n + m, 0.05),
     )
     return table, np.full(n + m, NOISE_PER_M * BEAMLETS_PER_M2)
 

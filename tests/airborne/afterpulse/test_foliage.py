@@ -58,11 +58,14 @@ def test_density_is_that_of_the_formula_and_between_those_of_the_spheres(seed: i
     counts = rng.uniform(0, 50, KERNELS) * rng.integers(0, 2, KERNELS)
     near = rng.uniform(0.5, 6)
     wide = (counts[0] + foliage.LEAST) / VOLUME_M3[0]
-    prior = foliage.SHAPE / max(near - 1, foliage.CLUMPED_MIN) ** 2
     more = max(near - 1, 0)
     assert foliage.clumped(np.array([near]))[0] == pytest.approx(more / (more + foliage.HALF))
     got = foliage.density(counts[None], np.array([near]))[0]
-    assert got == pytest.approx((counts[1] + prior) / (VOLUME_M3[1] + prior / wide))
+    if more > 0:
+        prior = foliage.SHAPE / more**2
+        assert got == pytest.approx((counts[1] + prior) / (VOLUME_M3[1] + prior / wide))
+    else:
+        assert got == pytest.approx(wide)
     each = (wide, counts[1] / VOLUME_M3[1])
     assert min(each) * (1 - 1e-9) <= got <= max(each) * (1 + 1e-9)
 

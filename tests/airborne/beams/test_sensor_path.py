@@ -104,7 +104,7 @@ def slow_lines(table: PointTable) -> list[tuple[float, ...]]:
         own = table.take(np.all(keys == key, axis=1))
         x, y, z = (own[k] / 1000.0 for k in "xyz")
         spread = float(np.sum((z - z.mean()) ** 2))
-        if len(own) > 1 and spread >= sensor_path.SPREAD_MIN_M2:
+        if len(own) > 1 and spread > 0.0:
             slope = [np.polynomial.polynomial.polyfit(z, v, 1)[1] for v in (x, y)]
             row = (key[0], x.mean(), y.mean(), z.mean(), *slope, spread)
             lines.append((int(own["shot"][0]) // 60, -spread, *map(float, row)))

@@ -39,12 +39,12 @@ def test_the_largest_place_is_a_fact_with_its_box():
 
 def test_a_large_place_or_a_large_share_is_a_finding():
     sound, small = facts(), facts((slice(0, 10), slice(20, 30)))
-    large = facts((slice(40, 60), slice(50, 62)))
+    large = facts((slice(40, 60), slice(50, 76)))
     assert not [*terrain_findings(found(sound))]
     assert not [*terrain_findings(found(sound, small))]
     (one,) = terrain_findings(found(sound, sound, large))
-    assert (one.code, one.values["area_m2"]) == ("G01", 240.0)
-    assert one.place == [250.0, 440.0, 262.0, 460.0]
+    assert (one.code, one.values["area_m2"]) == ("G01", 520.0)
+    assert one.place == [250.0, 440.0, 276.0, 460.0]
     scattered = facts(*((slice(k, k + 1), slice(20, 60)) for k in range(0, 20, 2)))
     (one,) = terrain_findings(found(scattered))
     assert one.values["share"] == pytest.approx(400 / 9000)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.filter.expected_noise import HeldVoxels, noise_model
 from spl_batch.airborne.settings import NoiseSettings
-from spl_batch.lattice.tables import VOXEL_FIXED_POINT, VoxelPart
+from spl_batch.lattice.tables import FIXED_POINT, VoxelPart
 from spl_batch.lattice.tiles import quanta
 
 SETTINGS = NoiseSettings()
@@ -27,7 +27,7 @@ class Tall(HeldVoxels):
 @pytest.fixture
 def part() -> VoxelPart:
     rng = np.random.default_rng(3)
-    amount = rng.uniform(0.5, 1.5, (8, 9, LAYERS)) * 200.0 * VOXEL_FIXED_POINT
+    amount = rng.uniform(0.5, 1.5, (8, 9, LAYERS)) * 200.0 * FIXED_POINT
     squares = rng.integers(1, 60, (8, 9, LAYERS, 16)).astype(np.uint16)
     return VoxelPart((0, 0, FIRST), amount.astype(np.int64), squares=squares)
 

@@ -12,7 +12,7 @@ from spl_batch.airborne.noise.local_noise import SQUARES, around, listened
 from spl_batch.airborne.noise.voxel_chords import deposit_beamlets
 from spl_batch.airborne.noise.voxel_noise import BEAMLET, sphere_radius_m
 from spl_batch.airborne.settings import FilterSettings
-from spl_batch.lattice.tables import VOXEL_FIXED_POINT
+from spl_batch.lattice.tables import FIXED_POINT
 
 Floats = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ def lines() -> tuple[NDArray[np.float32], ...]:
         amount = np.zeros(shape, np.int64)
         squares = np.zeros((*shape, SQUARES**2), np.uint16)
         none = np.zeros((0, 0, 0), np.int64)
-        weight = PER_M3 / PER_M2 * -LEAN[2] * VOXEL_FIXED_POINT
+        weight = PER_M3 / PER_M2 * -LEAN[2] * FIXED_POINT
         deposit_beamlets(
             voxel - corner, place - (voxel + 0.5) * 10.0, np.tile(LEAN, (n, 1)),
             np.full(n, ends[0]), np.full(n, ends[1]), np.full(n, weight), 10.0,

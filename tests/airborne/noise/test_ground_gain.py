@@ -9,7 +9,7 @@ from spl_batch.airborne.beams.shot_runs import run_starts
 from spl_batch.airborne.noise import gains, line_noise, line_statistics, voxel_noise
 from spl_batch.airborne.noise.ground_cells import (
     CELL_M,
-    SHOT,
+    PARTS,
     STRIDE,
     cells,
     look_through,
@@ -68,7 +68,7 @@ def test_looks_are_numbered_by_interval_and_cell() -> None:
     assert len(pairs) == len(set(row.tolist())) == len(looks["look_cell"]) == looks["looks"].sum()
     shots = len(run_starts(table["gps_time"])) - 1
     # each shot shares out one whole, but for what a division leaves
-    assert looks["look_number"].sum() == pytest.approx(shots * SHOT, rel=1e-4)
+    assert looks["look_number"].sum() == pytest.approx(shots * PARTS, rel=1e-4)
 
 
 @pytest.mark.parametrize("shots", [60, 300])
@@ -115,7 +115,7 @@ def test_signal_between_the_buffers_makes_no_bright_ground() -> None:
     outside[:, 0, 0], outside[:, 0, 3] = farther, farther + between
     merged = {
         "look_cell": np.arange(50), "interval": np.array([0]), "looks": np.array([50]),
-        "look_number": np.full(50, SHOT), "look_outside": outside,
+        "look_number": np.full(50, PARTS), "look_outside": outside,
     }  # fmt: skip
     expected = np.array([[1500.0], [3000.0]])
     _, found = gains.ground(merged, np.array([0]), expected, (0, 3), np.ones(2))

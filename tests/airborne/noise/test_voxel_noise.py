@@ -15,7 +15,7 @@ from spl_batch.airborne.noise.voxel_chords import (
 )
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.airborne.settings import NoiseSettings
-from spl_batch.lattice.tables import VOXEL_FIXED_POINT, PointTable, VoxelPart
+from spl_batch.lattice.tables import FIXED_POINT, PointTable, VoxelPart
 from tests.flightlines import Flight, cut, fly, relief
 
 SEEN = NoiseSettings()
@@ -120,7 +120,7 @@ def test_deposit_against_every_sphere() -> None:
     few = flight.table.take((flight.table["shot"] >= 12_420) & (flight.table["shot"] < 12_424))
     (part,) = voxel_noise.deposit(few, geometry.beams(few, flight.trajectory), model, SEEN)
     slow = slow_deposit(few, flight, model, part)
-    assert part.amount / VOXEL_FIXED_POINT == pytest.approx(slow, abs=2e-5)
+    assert part.amount / FIXED_POINT == pytest.approx(slow, abs=2e-5)
     assert slow.sum() > 1
 
 

@@ -30,26 +30,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.filter.ellipsoid.ellipsoid_counts import Evidence, evidence
-from spl_batch.airborne.filter.ellipsoid.null_distribution import null_table
+from spl_batch.airborne.filter.ellipsoid.null_distribution import TOLD_TO, null_table
 from spl_batch.airborne.filter.ellipsoid.spacing import peer_distances
 from spl_batch.airborne.filter.filter_interface import Cloud, Verdict
 from spl_batch.airborne.settings import FilterSettings
+from spl_batch.lattice.tables import ROWS_AT_ONCE
 from spl_batch.lattice.tiles import quanta
 from spl_batch.numerics.neighbours.kdtree import build
 from spl_batch.numerics.poisson import noise_tail_probability
 
 HARDLY_EXPECTED: Final = 0.05
 """Noise points expected within the neighbours' cap below which a lone return is real [points]."""
-
-LEAST: Final = 0.5
-"""Part of alpha that this test gets, whatever another one takes."""
-
-BATCH: Final = 1 << 17
-"""Points that a table is looked up for at once [count]."""
-
-TOLD_TO: Final = 1e-6
-"""Score down to which the calibrated test counts on beyond its decision: at any density below the
-3e-5 that p is tabulated to."""
 
 Spent = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """Share of pure noise of given densities [1/m3] that is kept, array for array."""
@@ -72,8 +63,8 @@ def judge(cloud: Cloud, settings: FilterSettings, *, spent: Spent | None = None)
     Counting stops once the decision stands and, calibrated, the score is below :data:`TOLD_TO`: p
     farther down is that of the count where it stopped: an upper bound, the same in any tiling.
 
-    ``spent``: share of pure noise that another test keeps, by noise density. The rest of alpha is
-    spent here, at least half of it. ``p_value`` is the share of pure noise that scores no more for
+    ``spent``: share of pure noise that another test keeps, by noise density, less than alpha. The
+    rest of alpha is spent here. ``p_value`` is the share of pure noise that scores no more for
     the calibrated test, P(K >= k) for the published one; a linked point has that of its own
     neighbourhood.
     """
@@ -131,8 +122,8 @@ def _pass_with_peers(
 
 def _batches(chosen: NDArray[np.bool_]) -> Iterator[NDArray[np.intp]]:
     """Chosen rows, some at a time, as a look-up in a table takes many arrays; at least once."""
-    for first in range(0, max(len(chosen), 1), BATCH):
-        yield first + np.flatnonzero(chosen[first : first + BATCH])
+    for first in range(0, max(len(chosen), 1), ROWS_AT_ONCE):
+        yield first + np.flatnonzero(chosen[first : first + ROWS_AT_ONCE])
 
 
 def _left(
@@ -140,7 +131,7 @@ def _left(
 ) -> NDArray[np.float64]:
     """What another test leaves of alpha in noise of some densities: (m,) float64."""
     taken = np.zeros(len(density)) if spent is None else spent(density)
-    return settings.alpha - np.minimum(taken, LEAST * settings.alpha)
+    return settings.alpha - taken
 
 
 def _limits(

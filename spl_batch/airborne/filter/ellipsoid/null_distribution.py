@@ -34,6 +34,7 @@ from spl_batch.airborne.filter.ellipsoid.ellipsoid_counts import evidence
 from spl_batch.airborne.filter.ellipsoid.quantile_table import between, level_of, value_of
 from spl_batch.airborne.filter.ellipsoid.spacing import peer_distances
 from spl_batch.airborne.settings import FilterSettings
+from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.settings.base import Section
 from spl_batch.lattice.tiles import quanta
 from spl_batch.numerics.neighbours.kdtree import build
@@ -66,20 +67,18 @@ LEVELS: Final = 10.0 ** -np.linspace(0, 4.5, 46)
 ALPHAS: Final = 10.0 ** -np.linspace(1, 4, 13)
 """Levels that links are tabulated for."""
 
-POINTS: Final = 60_000
+POINTS: Final = 100_000
 """Noise points drawn per density where no shipped table fits [count]."""
 
 SMOOTH: Final = 5
-"""Neighbouring densities that smooth each other's drawn quantiles, by a parabola."""
+"""Neighbouring densities that smooth each other's drawn quantiles."""
 
 ROUNDS: Final = 3
 """Times that the share of links is balanced with that of the points that pass alone."""
 
-SHORTEST_M: Final = 1e-3
-"""A link [m]."""
-
-EXACT_TO: Final = 1e-12
-"""Score below which counting stops."""
+TOLD_TO: Final = 1e-6
+"""Score down to which the calibrated test counts on beyond its decision: at any density below that
+of the last of :data:`LEVELS`."""
 
 T = TypeVar("T")
 
@@ -214,7 +213,7 @@ def draw_table(
         np.minimum.accumulate(np.minimum(smooth, 0.0), axis=1),
         np.log(ALPHAS),
         np.minimum(_smooth(own), np.log(ALPHAS)),
-        np.minimum(_smooth(link), np.log(max(settings.link_m, SHORTEST_M))),
+        np.minimum(_smooth(link), np.log(max(settings.link_m, QUANTUM_M))),
     )
 
 
@@ -237,7 +236,7 @@ class _Drawn(NamedTuple):
 def _drawn(settings: FilterSettings, seed: int, density: float, points: int) -> _Drawn:
     rng = np.random.default_rng([seed, points])
     xyz, source, core = periodic_noise(rng, density, points, settings)
-    found = evidence(xyz, np.full(len(xyz), density), core, settings, EXACT_TO)
+    found = evidence(xyz, np.full(len(xyz), density), core, settings, TOLD_TO)
     ordered = np.sort(found.score[core])
     noise = _Noise(xyz, core, found.score[source], found.tree.by_row(found.spacing)[source])
     links = [_links(noise, ordered, alpha, settings) for alpha in ALPHAS]
@@ -314,7 +313,7 @@ def _links(
     links, so the rest is found in two rounds.
     """
     if settings.link_count == 0:
-        return _Links(alpha, max(settings.link_m, SHORTEST_M))
+        return _Links(alpha, max(settings.link_m, QUANTUM_M))
     number = len(ordered)
     weakest = _at(ordered, settings.weak_alpha)
     own = alpha * (1.0 - settings.link_share)
@@ -336,7 +335,7 @@ def _links(
         if linked == wanted and wanted > 0:
             link = min(float(distance[wanted - 1]) / quanta(1.0), link)
         own = alpha - linked / number
-    return _Links(max(own, alpha * (1.0 - settings.link_share)), max(link, SHORTEST_M))
+    return _Links(max(own, alpha * (1.0 - settings.link_share)), max(link, QUANTUM_M))
 
 
 def _at(ordered: NDArray[np.float64], share: float) -> float:

@@ -36,13 +36,13 @@ TURNS, LEVELS = 400, 160
 """Most cells of azimuth and of slope [count]; longer tubes get coarser cells."""
 
 PAD: Final = 8
-"""Cells beyond the steepest slope at either side [count]."""
+"""Cells beyond the steepest slope at either side: more than the widest window reaches [count]."""
 
 STRETCH: Final = np.uint64(256)
 """Cells that are looked through at once for a count [count]."""
 
-WORDS: Final = 5
-"""Words of four cells that the widest window may touch [count]."""
+WORDS: Final = (2 * PAD + 1) // 4 + 1
+"""Words of four cells that the widest window may touch, whichever of them it begins in [count]."""
 
 UW = np.uint64(WORDS)
 

@@ -7,7 +7,6 @@ of its neighbours lie side by side. Chance tubes point anywhere.
 symbol name
 ====== ==========================================================================
 x, y, v offset from a tube's hanging line: along, across, upwards [quanta]
-w       r + ``widening`` |x|: half-width of a line drawn out [quanta]
 d       max(|y|, |v|): distance off the line, in square rings [quanta]
 ====== ==========================================================================
 """
@@ -26,8 +25,9 @@ from spl_batch.numerics.simd import LANES, UL, absolute, ascending, load, number
 PARTS: Final = 8
 """Equal parts of a tube that are distinguished [count]."""
 
-ROUNDED: Final = 2.0
-"""Farthest that middles of tubes move when they are rounded, off any line of theirs [quanta]."""
+ROUNDED: Final = math.sqrt(3.0)
+"""Farthest that middles of two tubes move when they are rounded, half a quantum along each axis
+[quanta]."""
 
 
 class Tubes(NamedTuple):
@@ -55,18 +55,17 @@ def _room(made: Columns):  # type: ignore[no-untyped-def]
 
 @njit()
 def _in_tube(  # type: ignore[no-untyped-def]
-    made: Columns, tubes: Tubes, s: int, reach, aside, above, widening, bend, slots, places
+    made: Columns, tubes: Tubes, s: int, reach, aside, above, bend, slots, places
 ):
     """List the points of a tube drawn out to ``reach`` along its line; how many they are.
 
-    ``aside, above``: its half-widths at its middle. ``slots`` and ``places``: :func:`_room`.
+    ``aside, above``: its half-widths. ``slots`` and ``places``: :func:`_room`.
     """
     east, north = math.cos(tubes.azimuth[s]), math.sin(tubes.azimuth[s])
     x0, y0, z0 = tubes.middle[s, 0], tubes.middle[s, 1], tubes.middle[s, 2]
     slope, edge, points = tubes.slope[s], made.edge, made.points
     nx, ny = made.shape
-    wide = aside + widening * reach
-    long, deep = abs(east) * reach + abs(north) * wide, abs(north) * reach + abs(east) * wide
+    long, deep = abs(east) * reach + abs(north) * aside, abs(north) * reach + abs(east) * aside
     i0, i1 = stretch_of(x0 - made.corner[0], long, edge, nx)
     j0, j1 = stretch_of(y0 - made.corner[1], deep, edge, ny)
     size = U0
@@ -75,11 +74,11 @@ def _in_tube(  # type: ignore[no-untyped-def]
             # A column whose axis is farther off than its half diagonal holds nothing.
             cx = made.corner[0] + (i + 0.5) * edge - x0
             cy = made.corner[1] + (j + 0.5) * edge - y0
-            if abs(cy * east - cx * north) > wide + 0.71 * edge:
+            if abs(cy * east - cx * north) > aside + 0.71 * edge:
                 continue
             x = cx * east + cy * north
             far = abs(x) + edge
-            rise = abs(slope) * edge + above + widening * far
+            rise = abs(slope) * edge + above
             low, high = z0 + slope * x - rise, z0 + slope * x + rise + bend * far * far
             first, stop = made.start[i * ny + j], made.start[i * ny + j + 1]
             first = first_above(points, first, stop, low)
@@ -91,10 +90,9 @@ def _in_tube(  # type: ignore[no-untyped-def]
                 along = dx * spread(east) + dy * spread(north)
                 across = dy * spread(east) - dx * spread(north)
                 up = dz - spread(slope) * along - spread(bend) * along * along
-                more = spread(widening) * absolute(along)
                 taken = (absolute(along) <= spread(reach)) & (ascending(slot) < spread(end))
-                taken = taken & (absolute(across) <= spread(aside) + more)
-                taken = taken & (absolute(up) <= spread(above) + more)
+                taken = taken & (absolute(across) <= spread(aside))
+                taken = taken & (absolute(up) <= spread(above))
                 pack(slots, size, ascending(slot), taken)
                 pack(places, (U0, size), along, taken)
                 pack(places, (U1, size), across, taken)
@@ -115,7 +113,7 @@ def refine(
     slots, places = _room(made)
     wide = 3.0 * radius
     for s in range(len(tubes.length)):
-        size = _in_tube(made, tubes, s, tubes.length[s], wide, wide, 0.0, bend, slots, places)
+        size = _in_tube(made, tubes, s, tubes.length[s], wide, wide, bend, slots, places)
         n, beside, above = 0, 0, 0
         sx = sy = sv = sxx = sxy = sxv = 0.0
         for k in range(size):
@@ -145,24 +143,21 @@ def refine(
 
 @njit()
 def agreeing(  # type: ignore[no-untyped-def]
-    made, tubes, stretch, radius, widening, beside, above, turn_max, bend, inline, abreast, against
+    made, tubes, stretch, radius, beside, turn_max, bend, agree, against
 ):
     """Count the tubes that prolong each one, and those beside it that point the same way.
 
     ``made`` lists the tubes' middles, rounded. Tubes count as far as ``stretch`` half-lengths
-    along, ``beside`` and ``above`` off the line, and turned by ``turn_max`` [rad; rise/run].
-    ``inline`` (m,) receives agreeing tubes beyond the own half-length, which share no return with
-    it, ``abreast`` those off its line, ``against`` the tubes on its line that point elsewhere, less
-    those that agree.
+    along, ``beside`` off the line, across and upwards, and turned by ``turn_max`` [rad; rise/run].
+    ``agree`` (m,) receives agreeing tubes off its line, or beyond the own half-length: they share
+    no return with it. ``against`` receives the tubes on its line that point elsewhere, less those
+    that agree.
     """
     slots, places = _room(made)
     for s in range(len(tubes.length)):
-        reach = stretch * tubes.length[s]
+        reach, wide = stretch * tubes.length[s], beside + ROUNDED
         east, north = math.cos(tubes.azimuth[s]), math.sin(tubes.azimuth[s])
-        size = _in_tube(
-            made, tubes, s, reach + ROUNDED, beside + ROUNDED, above + ROUNDED, 0.0, bend, slots,
-            places,
-        )  # fmt: skip
+        size = _in_tube(made, tubes, s, reach + ROUNDED, wide, wide, bend, slots, places)
         for k in range(size):
             t = made.points[3, slots[k]]
             dx, dy = (
@@ -171,33 +166,30 @@ def agreeing(  # type: ignore[no-untyped-def]
             )
             x, y = dx * east + dy * north, dy * east - dx * north
             v = tubes.middle[t, 2] - tubes.middle[s, 2] - tubes.slope[s] * x - bend * x * x
-            if t == s or abs(x) > reach or abs(y) > beside or abs(v) > above:
+            if t == s or abs(x) > reach or abs(y) > beside or abs(v) > beside:
                 continue
-            width = radius + widening * abs(x)
-            on_line = abs(y) <= width and abs(v) <= width
+            on_line = abs(y) <= radius and abs(v) <= radius
             apart = tubes.azimuth[t] - tubes.azimuth[s]
             turn = abs(apart) % math.pi
             rise = tubes.slope[t] if math.cos(apart) >= 0.0 else -tubes.slope[t]
             rise -= tubes.slope[s] + 2.0 * bend * x
             if min(turn, math.pi - turn) > turn_max or abs(rise) > turn_max:
                 against[s] += on_line and abs(x) <= tubes.length[s]
-            elif not on_line:
-                abreast[s] += 1
-            elif abs(x) > tubes.length[s]:
-                inline[s] += 1
+            elif not on_line or abs(x) > tubes.length[s]:
+                agree[s] += 1
             else:
                 against[s] -= 1
 
 
 @njit()
 def vote(  # type: ignore[no-untyped-def]
-    made: Columns, tubes: Tubes, radius: float, widening: float, bend: float, votes
+    made: Columns, tubes: Tubes, radius: float, bend: float, votes
 ) -> None:
     """Count for every point the tubes that hold it: ``votes`` (n,) int32 by row."""
     slots, places = _room(made)
     for s in range(len(tubes.length)):
         reach = tubes.length[s]
-        size = _in_tube(made, tubes, s, reach, radius, radius, widening, bend, slots, places)
+        size = _in_tube(made, tubes, s, reach, radius, radius, bend, slots, places)
         for k in range(size):
             votes[made.points[3, slots[k]]] += 1
 
@@ -212,7 +204,7 @@ def surroundings(made, tubes, rings, bend, count, held):  # type: ignore[no-unty
     slots, places = _room(made)
     for s in range(len(tubes.length)):
         reach = tubes.length[s]
-        size = _in_tube(made, tubes, s, reach, rings[-1], rings[-1], 0.0, bend, slots, places)
+        size = _in_tube(made, tubes, s, reach, rings[-1], rings[-1], bend, slots, places)
         for k in range(size):
             off = max(abs(places[1, k]), abs(places[2, k]))
             for ring in range(len(rings)):

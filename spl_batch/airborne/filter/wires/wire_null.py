@@ -18,9 +18,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.filter.ellipsoid.null_distribution import repeated, shipped_or_drawn
+from spl_batch.airborne.filter.ellipsoid.null_distribution import (
+    POINTS,
+    SMOOTH,
+    repeated,
+    shipped_or_drawn,
+)
 from spl_batch.airborne.filter.filter_interface import Cloud
-from spl_batch.airborne.filter.wires.wire_scan import scan
+from spl_batch.airborne.filter.wires.wire_scan import BESIDE_M, scan
 from spl_batch.airborne.settings import FilterSettings, WireSettings
 from spl_batch.lattice.tiles import quanta
 
@@ -35,21 +40,10 @@ a tube significant are a whole number: the share jumps by up to a factor of four
 small against that."""
 
 COARSE: Final = DENSITIES[::10]
-POINTS: Final = 100_000
-"""Noise densities that are drawn where no shipped table fits, and points for each [count]: too few
-to show ups and downs."""
-
-HEIGHT_M: Final = 120.0
-"""Height of the box of noise [m]."""
-
-SLACK_M: Final = 4.0
-"""Images of the noise beyond two tubes [m]."""
-
-SMOOTH: Final = (1 / 9, 2 / 9, 3 / 9, 2 / 9, 1 / 9)
-"""Weights of neighbouring densities, where these are few."""
+"""Noise densities that are drawn where no shipped table fits: too few to show ups and downs."""
 
 MOST: Final = 0.5
-"""Largest part of the filter's alpha that the scan gets."""
+"""Largest part of the filter's alpha that the scan gets. Half moves 9 + 4 labels, twice nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,13 +91,14 @@ def parse_table(content: Mapping[str, Any]) -> WireNull:
 
 
 def smoothed(share: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Shares smoothed over neighbouring densities; beyond the ends these go on.
+    """Shares smoothed over :data:`SMOOTH` neighbouring densities; beyond the ends these go on.
 
     A chance tube keeps many points at once, so drawn shares scatter far more than their number of
     points tells.
     """
-    padded = np.pad(share, len(SMOOTH) // 2, mode="edge")
-    smooth: NDArray[np.float64] = np.convolve(padded, SMOOTH, mode="valid")
+    weights = np.bartlett(SMOOTH + 2)[1:-1]
+    padded = np.pad(share, SMOOTH // 2, mode="edge")
+    smooth: NDArray[np.float64] = np.convolve(padded, weights / weights.sum(), mode="valid")
     return smooth
 
 
@@ -129,13 +124,13 @@ def draw_shares(
 
 
 def _share(rng: np.random.Generator, density: float, points: int, wires: WireSettings) -> float:
-    side = np.sqrt(points / density / HEIGHT_M)
+    side = np.cbrt(points / density)
     # A tube through a point, and what lies in one that agrees with it.
-    around = min(2.0 * wires.half_length_m + SLACK_M, side)
-    up = min(wires.slope_max * around + SLACK_M, HEIGHT_M)
+    around = min(2.0 * wires.half_length_m + BESIDE_M, side)
+    up = min(wires.slope_max * around + BESIDE_M, side)
     size, margin = (
         np.array([quanta(float(length)) for length in box])
-        for box in ((side, side, HEIGHT_M), (around, around, up))
+        for box in ((side, side, side), (around, around, up))
     )
     xyz, _, core = repeated(rng, density, size, margin)
     nothing = np.zeros(len(xyz), np.bool_)

@@ -1,25 +1,23 @@
 """Fired beamlets: where they were aimed, which return is the first of each, where others ended."""
 
 import math
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.constants import QUANTUM_M
+from spl_batch.lattice.tables import FIXED_POINT
 from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.simd import TOGETHER
 from spl_batch.numerics.sorting import first_above
 
-SILENT = -(1 << 63)
+SILENT = int(np.iinfo(np.int64).min)
 """First return of a beamlet that has none. Others are a word: the height [quanta] in the upper
 half, in the lower the number of the cell, ``row * cols + col``."""
 
-CELL_BITS = 0xFFFF_FFFF
+CELL_BITS = int(np.iinfo(np.uint32).max)
 """Lower half of a first return."""
-
-
-AT_ONCE: Final = 1024
-"""Returns that are matched before their beamlets are looked at [count]."""
 
 
 class Blocks(NamedTuple):
@@ -132,10 +130,10 @@ def match_points(
         longest_s = max(longest_s, shots / blocks.prf_hz[block])
     # Points lie by place and beamlets by time, each far from the last in memory: many are asked
     # for at once.
-    where, words = np.empty(AT_ONCE, np.int64), np.empty(AT_ONCE, np.int64)
-    for begin in range(0, len(rows), AT_ONCE):
+    where, words = np.empty(TOGETHER, np.int64), np.empty(TOGETHER, np.int64)
+    for begin in range(0, len(rows), TOGETHER):
         held = 0
-        for p in rows[begin : begin + AT_ONCE]:
+        for p in rows[begin : begin + TOGETHER]:
             c = int(channel[p])
             if c >= channels:
                 continue
@@ -164,21 +162,18 @@ def match_points(
 
 
 COARSE = 8
-"""Cells along one side of the coarse squares that bound heights [count]."""
+"""Cells along one side of the coarse squares that bound heights [count]. Half moves 6273 + 6380
+cells of the intensity, twice 6764 + 6783 cells of the intensity."""
 
 U_COARSE = np.uint64(COARSE)
 
 STEP_CELLS = 0.5
-"""Step of a ray over the ground [cells]."""
-
-MAX_STEPS = 400
-"""Longest walk of a ray [count]."""
-
-FIXED_POINT = 2.0**32
-"""Steps of a sum per photo-electron and reflectance."""
+"""Step of a ray over the ground [cells]. Half moves 3694 + 5622 cells of the intensity, twice 2713
++ 5368 cells of the intensity."""
 
 COSINE_MIN = 0.2
-"""Incidence is not corrected for beyond this [1]."""
+"""Incidence is not corrected for beyond this [1]. Half moves 76 + 90 cells of the intensity, twice
+187 + 206 cells of the intensity."""
 
 
 class Grid(NamedTuple):
@@ -234,7 +229,7 @@ def trace(
             z, end = high[j, i], min(end, low[j, i])
         over = max(abs(x1), abs(y1))
         step = STEP_CELLS / over if over > 1e-6 else np.inf
-        for _ in range(MAX_STEPS):
+        while True:
             x, y = x0 + x1 * z, y0 + y1 * z
             if 0.0 <= x < cols and 0.0 <= y < rows and z <= height[np.uint64(y), np.uint64(x)]:
                 cell[c] = np.int64(y) * cols + np.int64(x)

@@ -37,7 +37,8 @@ from spl_batch.lattice.tables import BeamTable, PointTable, ShotClock
 COLUMNS_NEEDED: Final = ("z", "channel", "shot")
 
 BLOCK_SHOTS: Final = 60
-"""Longest block: within 2 ms a scan of 25 Hz turns by 18 degrees, a cubic to millimetres."""
+"""Longest block: within 2 ms a scan of 25 Hz turns by 18 degrees, a cubic to millimetres. Half
+moves 1472 + 1682 cells of the intensity, twice nothing."""
 
 MISFIT_MAX_M: Final = 0.3
 """Spread about the fit, on the ground, beyond which it is not believed [m]."""
@@ -46,7 +47,8 @@ LEARNING_ROUNDS: Final = 4
 """Rounds in which an unknown array and its turn are fitted in alternation [count]."""
 
 _RIDGE: Final = 1e-7
-"""Weight of "zero" for coefficients that a block's few shots do not determine."""
+"""Weight of "zero" for coefficients that a block's few shots do not determine. Half moves 23 + 19
+cells of the intensity, twice 39 + 42 cells of the intensity."""
 
 BLOCK: Final = np.dtype(
     [

@@ -12,13 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.numerics.compiled import njit
-from spl_batch.numerics.simd import load, spread, store
+from spl_batch.numerics.simd import LANES, TOGETHER, load, spread, store
 
-TERMS = 8
+TERMS = LANES
 """Coefficients of each coordinate: as many as there are lanes."""
-
-_TOGETHER = 32
-"""Returns whose terms are reckoned before they are added up [count]."""
 
 
 Rows = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.uint8], NDArray[np.float64]]
@@ -52,14 +49,14 @@ def normal_equations(
     are left out.
     """
     start, tau, channel, place = rows
-    term, right_of, zero = np.empty((_TOGETHER, TERMS)), np.empty((_TOGETHER, 2)), np.uint64(0)
+    term, right_of, zero = np.empty((TOGETHER, TERMS)), np.empty((TOGETHER, 2)), np.uint64(0)
     for b in range(len(start) - 1):
         # A register for each row of the matrix: what stands in arrays is stored after each return.
         a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = x = y = spread(0.0)
-        for begin in range(start[b], start[b + 1], _TOGETHER):
+        for begin in range(start[b], start[b + 1], TOGETHER):
             # What has just been stored number by number cannot be loaded at once yet.
             count = 0
-            for row in range(begin, min(begin + _TOGETHER, start[b + 1])):
+            for row in range(begin, min(begin + TOGETHER, start[b + 1])):
                 gx, gy = pattern[b, channel[row], 0], pattern[b, channel[row], 1]
                 basis(tau[row], gx, gy, term[count])
                 right_of[count, 0], right_of[count, 1] = place[row, 0], place[row, 1]

@@ -182,31 +182,29 @@ def test_agreement_votes_and_surroundings_are_the_slow_twins(seed: int, n: int) 
     tubes, rings = drawn_tubes(seed, n), np.array([400.0, 900.0, 2500.0])
     azimuth, slope, length = tubes.azimuth, tubes.slope, tubes.length
     made, places = laid(tubes.middle, 8000), np.rint(tubes.middle)
-    inline, abreast, against, votes = (np.zeros(n, np.int32) for _ in range(4))
+    agree, against, votes = (np.zeros(n, np.int32) for _ in range(3))
     agreeing(
-        made, tubes, 2.0, 250.0, 0.01, 6000.0, 2000.0, 0.05, BEND, inline, abreast, against
+        made, tubes, 2.0, 250.0, 6000.0, 0.05, BEND, agree, against
     )  # fmt: skip
-    vote(made, tubes, 250.0, 0.01, BEND, votes)
+    vote(made, tubes, 250.0, BEND, votes)
     count, held = np.zeros((n, 3), np.int32), np.zeros((n, PARTS), np.bool_)
     surroundings(made, tubes, rings, BEND, count, held)
     expected_votes = np.zeros(n, np.int64)
     for s in range(n):
         x, y, v = along(tubes.middle, tubes, s)
-        width = 250.0 + 0.01 * np.abs(x)
-        on = (np.abs(y) <= width) & (np.abs(v) <= width)
-        near = (np.abs(x) <= 2 * length[s]) & (np.abs(y) <= 6000) & (np.abs(v) <= 2000)
+        on = (np.abs(y) <= 250.0) & (np.abs(v) <= 250.0)
+        near = (np.abs(x) <= 2 * length[s]) & (np.abs(y) <= 6000) & (np.abs(v) <= 6000)
         near[s] = False
         turn = np.abs(azimuth - azimuth[s]) % np.pi
         rise = np.where(np.cos(azimuth - azimuth[s]) >= 0, slope, -slope) - slope[s]
         same = np.minimum(turn, np.pi - turn) <= 0.05
         same &= np.abs(rise - 2 * BEND * x) <= 0.05
         short = np.abs(x) <= length[s]
-        assert inline[s] == (near & same & on & ~short).sum()
-        assert abreast[s] == (near & same & ~on).sum()
+        assert agree[s] == (near & same & ~(on & short)).sum()
         assert against[s] == (near & on & short & ~same).sum() - (near & on & short & same).sum()
         x, y, v = along(places, tubes, s)
         off, within = np.maximum(np.abs(y), np.abs(v)), np.abs(x) <= length[s]
-        expected_votes += within & (off <= 250.0 + 0.01 * np.abs(x))
+        expected_votes += within & (off <= 250.0)
         assert count[s].tolist() == [int((within & (off <= ring)).sum()) for ring in rings]
         own = x[within & (off <= rings[0])] + length[s]
         parts = np.unique(np.floor(own / (2 * length[s]) * PARTS).astype(int))
