@@ -70,7 +70,7 @@ def test_squares_say_what_all_points_at_once_say(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(planned, "SQUARE_POINTS", 300)
+    monkeypatch.setattr(planned, "STRETCH_POINTS", 300)
     for k in range(files):
         part = surveys.take(points, slice(k, None, files))
         surveys.write_cloud(tmp_path / f"ref_{k}.laz", part, channel=False)
