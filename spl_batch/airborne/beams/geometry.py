@@ -25,8 +25,7 @@ from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.tables import BeamTable, PointTable, Trajectory
 
 STAND_IN_HEIGHT_M: Final = 10_000.0
-"""Height of stand-in origins, above every terrain and every survey flight; so no shot has returns
-as far from its first one [m]."""
+"""Height of stand-in origins [m]; above every terrain and every survey flight."""
 
 LEAST_COSINE: Final = 0.1
 """Beams lean from the vertical by an angle whose cosine is larger than this, and look down."""
@@ -40,6 +39,9 @@ STEP_BIN_S: Final = 1e-8
 STEP_BINS: Final = round(1.0 / (PRF_HZ[0] * STEP_BIN_S))
 """Bins of that histogram: steps up to that of the slowest pulse rate."""
 
+ELSEWHERE_M: Final = 10_000.0
+"""Distance from its first return at which a shot of an aircraft has none [m]."""
+
 ASIDE_M: Final = 1.0
 """What places may be off for other reasons, at most [m]."""
 
@@ -52,8 +54,8 @@ PRF_DIGITS: Final = 3
 AHEAD_S: Final = 1.0
 """Time in which a scan looks ahead and astern many times over [s]."""
 
-SIGHT_RETURNS: Final = 1 << 18
-"""Returns of a stretch by which lines of sight are compared with the trajectory [count]."""
+AHEAD_RETURNS: Final = 20_000
+"""Returns of a stretch by which it is asked how far ahead they lie [count]."""
 
 LOOKS_AHEAD: Final = 0.05
 """Returns lie ahead of a sensor on average by no more than this part of its height."""
@@ -217,7 +219,7 @@ def look_ahead(beams: BeamTable, time_s: NDArray[np.float64]) -> Ahead | None:
         None where the sensor is known for less than :data:`AHEAD_S`, or stands still.
     """
     rows = np.flatnonzero(beams.known)
-    rows = rows[:: max(len(rows) // SIGHT_RETURNS, 1)]
+    rows = rows[:: max(len(rows) // AHEAD_RETURNS, 1)]
     if not len(rows) or time_s[rows[-1]] - time_s[rows[0]] < AHEAD_S:
         return None
     time, place = time_s[rows] - time_s[rows].mean(), beams.origin_m[rows, :2]
@@ -243,7 +245,7 @@ def off_one_beam(table: PointTable) -> tuple[int, int, int]:
     together, apart, elsewhere : int
         Returns that follow another one of their channel and time; those of them that lie farther
         aside of the first one than :data:`ASIDE_M` and a beam of 45 degrees explain; and those that
-        lie farther than :data:`STAND_IN_HEIGHT_M`, where no shot of the same flight does [count].
+        lie farther than :data:`ELSEWHERE_M`, where no shot of the same flight does [count].
     """
     starts = run_starts(table["gps_time"], table["channel"])
     first = np.repeat(starts[:-1], np.diff(starts))
@@ -251,7 +253,7 @@ def off_one_beam(table: PointTable) -> tuple[int, int, int]:
     steps = (table[axis][later].astype(np.int64) - table[axis][first[later]] for axis in "xyz")
     east, north, up = (QUANTUM_M * step for step in steps)
     aside = np.hypot(east, north)
-    apart, elsewhere = aside > ASIDE_M + np.abs(up), aside > STAND_IN_HEIGHT_M
+    apart, elsewhere = aside > ASIDE_M + np.abs(up), aside > ELSEWHERE_M
     return len(later), int(np.count_nonzero(apart)), int(np.count_nonzero(elsewhere))
 
 

@@ -140,9 +140,8 @@ class _Surfaces:
         if any(edge % size for edge in cell):
             raise ValueError(f"ground cell {cell} is not aligned to raster cells of {size} quanta")
         self._cell, self._settings, self._size = cell, settings, size
-        self._floor_m = (
-            SHARP * range_sigma_m
-        )  # ground returns so near to their median are no outliers
+        # Ground returns so near to their median are no outliers.
+        self._floor_m = SHARP * range_sigma_m
         self.region = grow(cell, margin_cells(settings) * size)
         self._table = table
         near = (table["ground"] == 1) & inside(table["x"], table["y"], self.region)

@@ -68,6 +68,9 @@ _POINT_COLUMNS = tuple(name for name in TILE_COLUMNS if name in SOURCE_COLUMNS)
 _POSITIONED: Final = ("trajectory", "intersection")
 """What beams may be taken from that has positions of the sensor; else by scan angle or vertical."""
 
+SIGHT_RETURNS: Final = 262_144
+"""Returns of a stretch whose lines of sight are compared with the trajectory [count]."""
+
 
 def _columns(args: Mapping[str, Any]) -> tuple[str, ...]:
     """Columns that beams are found from, beyond those that points of a stretch always have."""
@@ -131,7 +134,7 @@ def _other_unit(
     table: PointTable, known: BeamTable, args: Mapping[str, Any], context: Context
 ) -> tuple[float, float] | None:
     """Heights of the sensor by the trajectory and by lines of sight, where units differ [m]."""
-    some = table.take(slice(0, geometry.SIGHT_RETURNS))
+    some = table.take(slice(0, SIGHT_RETURNS))
     interval = context.workflow.noise.interval_shots
     lines = paths.Lines(**paths.collect(some, args["beamlets"], interval))
     row = np.searchsorted(some["gps_time"], lines.time_s)
@@ -143,7 +146,7 @@ def _leap(table: PointTable, store: Store) -> int | None:
 
     None where those of UTC do not, either way: then something else is wrong.
     """
-    table = table.take(slice(None, None, max(len(table) // geometry.SIGHT_RETURNS, 1)))
+    table = table.take(slice(None, None, max(len(table) // geometry.AHEAD_RETURNS, 1)))
     time = table["gps_time"]
     first, last = float(time.min()), float(time.max())
     leap = leap_seconds(first)

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from spl_batch.airborne.beams.geometry import STAND_IN_HEIGHT_M, Ahead
+from spl_batch.airborne.beams.geometry import ELSEWHERE_M, Ahead
 from spl_batch.airborne.findings import CODES
 from spl_batch.airborne.plan.flightlines import FALLBACK_PRF_HZ
 from spl_batch.airborne.plan.inputs.channel_dimension import holds_few, unnamed_channels
@@ -208,7 +208,7 @@ def merged_shots(survey: Survey) -> Iterator[Finding]:
         counts, _ = zip(*stretches, strict=True)
         together, apart, elsewhere = np.sum(counts, axis=0).tolist()
         if 2 * elsewhere > apart:
-            yield Finding("I03", {"kind": "elsewhere", "km": STAND_IN_HEIGHT_M / 1000}, line)
+            yield Finding("I03", {"kind": "elsewhere", "km": ELSEWHERE_M / 1000}, line)
         elif apart > MERGED * max(together, 1):
             share = apart / together
             yield Finding("T01", {"kind": "merged", "share": share}, line, badness=share)
