@@ -16,6 +16,7 @@ from spl_batch.airborne.beams.dependent_returns import dependents
 from spl_batch.airborne.ground.ground_seeds import Start, believed, first_true, start
 from spl_batch.airborne.ground.lowest_layers import lowest_layers
 from spl_batch.airborne.ground.multiscale.masks import multiscale_mask
+from spl_batch.airborne.ground.multiscale_surface import low_outliers
 from spl_batch.airborne.ground.node_grids import lowest_nodes
 from spl_batch.airborne.ground.point_spacing import Blocks, largest_of, spacings_m
 from spl_batch.airborne.ground.ptd import Limits, densify, heights_above
@@ -28,10 +29,6 @@ from spl_batch.numerics.cell_groups import group_by_cell
 
 _FILLED = 2.0
 """Points in an occupied cell below which the candidates' grid is doubled [count]."""
-
-_GAP_SPACINGS = 10.0
-"""Edges longer than this many mean spacings of the points around cross a gap of the ground
-[count]."""
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -153,7 +150,6 @@ def ptd_mask(own: Points, asked: Points, settings: PtdSettings) -> NDArray[np.bo
     order = group_by_cell(asked.x, asked.y, settings.node_m).order
     x, y, z = (values[order] for values in asked)
     height, edge = heights_above(tin, x, y, z)
-    edge = np.minimum(edge, _GAP_SPACINGS * spacings_m(own.x, own.y).at(x, y))
     allowed = settings.band_m + np.tan(np.radians(settings.iteration_angle_deg)) * edge
     mask[order] = np.abs(height) <= np.minimum(allowed, settings.iteration_distance_m)
     return mask
@@ -210,7 +206,8 @@ def smrf_mask(own: Points, asked: Points, settings: SmrfSettings) -> NDArray[np.
     """
     cells = group_by_cell(own.x, own.y, settings.cell_m)
     nodes = lowest_layers(*own, cells, settings.layer_m)
-    trusted = first_true((believed(nodes, cells, settings.cell_m),))
+    above = believed(nodes, cells, settings.cell_m)
+    trusted = first_true((above & ~low_outliers(nodes.xyz), above))
     found = lowest_nodes(nodes.xyz, trusted, settings.cell_m)
     lowest = np.where(found >= 0, nodes.xyz[found, 2], np.nan)
     terrain = provisional_terrain(lowest, settings.cell_m, settings.slope, settings.window_m)

@@ -25,18 +25,17 @@ _CROWDED = 10
 [count]."""
 
 _SHEET_POINTS = 2 * SUPPORTED
-_SHEET_M = 0.8
+_SHEET_M = EDGE_M / 2
 """A sheet is a hard surface, roof or bare ground: this many points in this thickness, as a
 tilt of 35 degrees gives it in a cell of 1 m, and most of what lies between the node below it and
-:data:`EDGE_M` above it. Leaves fill twice the thickness, and do not pass."""
+:data:`.EDGE_M` above it. Leaves fill twice the thickness, and do not pass."""
 
 ENDS = 0.25
 """A layer ends if the next one, as thick, holds at most this share of its points: more in grass."""
 
-_AGREEING = 2
 _REACH = round(BESIDE_M / CELL_M)
-"""So many nodes of other cells, up to so many cells off, continue one within :data:`.DEPTH_M` and
-:data:`.TILT` times their distance [count, edges]."""
+"""Nodes up to so many cells off continue one if they lie within :data:`.DEPTH_M` and :data:`.TILT`
+times their distance of it, and are with it as many as make a layer [edges]."""
 
 Mask = NDArray[np.bool_]
 
@@ -267,4 +266,4 @@ def _continued(
                     d = np.sqrt((xyz[j, 0] - xyz[i, 0]) ** 2 + (xyz[j, 1] - xyz[i, 1]) ** 2)
                     if d <= _REACH * cell_m:
                         count += abs(xyz[j, 2] - xyz[i, 2]) <= DEPTH_M + TILT * d
-        out[i] = count >= _AGREEING
+        out[i] = count + 1 >= SUPPORTED

@@ -58,16 +58,14 @@ there: with 3, heath is 0.6 cm higher and Amsterdam loses 0.3 points."""
 _SLOPE = 0.15
 """Slope tolerance of the opening, as published [rise/run]."""
 
-MEDIAN: Final = 0.5
-"""Share of the points below a surface that tells the spread of most of its points."""
-
-_PIT_SLOPE = 1.5
+_PIT_M = 3 * WIDE_M / 2
 """A low outlier lies below the third lowest of the eight cells around, so many as make a layer, by
-more than this slope."""
+more than the nine cells reach to a side, as below a slope of 45 degrees [m]."""
 
-_DEPTH_M = 0.01
+_DEPTH_M = SIGMA_M / 5
 _DEPTHS = round(2 * DEPTH_M / _DEPTH_M)
-"""Depths below a surface are counted by steps of this, so many, and one for all deeper ones [m]."""
+"""Depths below a surface are counted by steps of this, finer than ranges scatter, so many, and one
+for all deeper ones [m]."""
 
 EVERYWHERE: Final = Blocks(np.full((1, 1), SIGMA_M), (0, 0))
 """Ranging spread where flightlines have none [m]."""
@@ -106,7 +104,7 @@ def low_outliers(xyz: Float) -> Mask:
     height = _heights(lowest, xyz[:, 2])
     around = _neighbours(np.where(np.isnan(height), np.inf, height))
     around.partition(SUPPORTED - 1, axis=0)
-    floor = around[SUPPORTED - 1] - _PIT_SLOPE * WIDE_M
+    floor = around[SUPPORTED - 1] - _PIT_M
     floor[np.isinf(floor)] = -np.inf
     found: Mask = xyz[:, 2] < floor[row, column]
     return found
@@ -257,11 +255,11 @@ def noise_below(depths: Blocks) -> Blocks:
     return depths._replace(values=depths.values[..., :_DEPTHS])
 
 
-def spread_below(depths: Blocks, share: float) -> Float:
+def spread_below(depths: Blocks, share: float = 0.5) -> Float:
     """Standard deviation of a surface's points, by the depth that a share of those below reach.
 
     Ranging noise and rough ground scatter points to both sides of the surface, plants only upwards:
-    the lower side tells the spread of the ground. A half of them tells that of most points, a
+    the lower side shows the spread of the ground. The median depth gives that of most points, a
     larger share that of the tail.
 
     Parameters
@@ -269,7 +267,7 @@ def spread_below(depths: Blocks, share: float) -> Float:
     depths : Blocks
         Points below the surface, by :func:`depths_below`.
     share : float
-        Share of them.
+        Share of them, by default a half: the median depth.
 
     Returns
     -------
@@ -302,7 +300,7 @@ def scatter_below(xyz: Float, nodes: Index, grid: Index, cell_m: float) -> Float
     """
     off = np.zeros(len(xyz))
     off[nodes] = xyz[nodes, 2] - plane_heights(xyz, nodes, grid, cell_m, own=False)
-    return spread_below(depths_below(off, xyz[:, 0], xyz[:, 1]), MEDIAN)
+    return spread_below(depths_below(off, xyz[:, 0], xyz[:, 1]))
 
 
 def ground_nodes(xyz: Float, high: Mask, grid: Index, nearest: Index) -> Mask:

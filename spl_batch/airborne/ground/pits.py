@@ -28,14 +28,17 @@ After the low-point tests of ground filters (isolated points below all neighbour
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.ground.scales import DEPTH_M, ROUGH_M, WALL_M
+from spl_batch.airborne.ground.scales import BESIDE_M, CELL_M, DEPTH_M, ROUGH_M, SIDES, WALL_M
 from spl_batch.numerics.compiled import njit
 
-_OUTVOTE = 6
-"""Agreeing pairs for each that speaks for the node: along a ditch, two do [count]."""
+_REACH = round(BESIDE_M / CELL_M)
+_OUTVOTE = (2 * _REACH + 1) ** 2 // 2 // _REACH
+"""Agreeing pairs for each that speaks for the node: of all in reach, those along a ditch do
+[count]."""
 
-_ENOUGH = 4
-"""Agreeing pairs that make a surface: at least these, and half of those that count [count]."""
+_ENOUGH = SIDES // 2
+"""Agreeing pairs that make a surface: as many as the nodes right around have, and half of those
+that count [count]."""
 
 
 @njit()

@@ -21,17 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.ground.multiscale.near_surface import facets_at
-from spl_batch.airborne.ground.scales import DAMPING_M2
+from spl_batch.airborne.ground.scales import DAMPING_M2, NEAREST
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.point_grid import PointGrid
 from spl_batch.numerics.triangulation.delaunay import along_curve, empty_mesh, finite, insert
 from spl_batch.numerics.triangulation.tin import Tin, facet_heights, locate_one, tin_of
-
-_ROUNDS = 60
-"""Rounds after which densification stops anyway; ten to twenty are usual [count]."""
-
-_FRAME_VERTICES = 12
-"""Vertices that continue the surface to a place on the frame [count]."""
 
 
 class Limits(NamedTuple):
@@ -95,7 +89,7 @@ def densify(
     mesh = empty_mesh(xyz[:, :2])
     first = len(seeds) + len(frame)
     added = np.arange(first)
-    for _ in range(_ROUNDS):
+    while True:
         vertices = np.concatenate([seeds, candidates[taken]])
         xyz[len(seeds) : first, 2] = _continued(vertices, frame[:, :2])
         insert(mesh, along_curve(mesh, added))
@@ -137,7 +131,7 @@ def _continued(vertices: NDArray[np.float64], places: NDArray[np.float64]) -> ND
 
     The plane's slope is damped, so that it vanishes where the vertices do not tell it.
     """
-    k = min(_FRAME_VERTICES, len(vertices))
+    k = min(NEAREST, len(vertices))
     nearest = PointGrid.of(vertices).nearest(places, k)
     near = vertices[nearest]
     centre = near.mean(axis=1)

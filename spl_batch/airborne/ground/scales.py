@@ -29,6 +29,9 @@ PLANE_M: Final = 6.0
 """Nodes about a plane count by exp(-(distance / this)^2): those that are 8 m off support no edge
 [m]."""
 
+NEAREST: Final = 20
+"""Planes go through so many of the nearest nodes [count]."""
+
 DAMPING_M2: Final = 0.1
 """Added to the scatter of places when a plane is fitted: a slope that they do not show is none
 [m2]."""

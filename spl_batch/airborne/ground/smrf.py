@@ -3,7 +3,7 @@
 | source | here |
 |---|---|
 | ZImin, grid of lowest heights | the caller's: layer means, which low noise does not pull down |
-| low outliers, opening of the inverted grid, slope 500 % | :func:`low_outliers` |
+| low outliers, opening of the inverted grid | the caller's: nodes far below those around |
 | inpainting of empty cells | :func:`fill_gaps` |
 | progressive opening, threshold slope x radius | :func:`.object_cells` |
 | disk of radius k | an octagon of radius k (:func:`.octagon`) |
@@ -21,30 +21,11 @@ from spl_batch.airborne.ground.morphology import object_cells
 from spl_batch.numerics.nearest_cells import nearest_cells
 from spl_batch.numerics.triangulation.tin import interpolate, triangulate
 
-_LOW_SLOPE = 5.0
-"""Slope of the opening that finds low outliers: 500 % in the source [rise/run]."""
-
-_JITTER_CELLS = 1e-5
-"""Twice the largest step aside of a grid node in a triangulation [cells]."""
+_JITTER_CELLS = np.finfo(np.float32).eps
+"""Twice the largest step aside of a grid node in a triangulation: seen in double precision, and far
+below what any height is known by [cells]."""
 
 Grid = NDArray[np.float64]
-
-
-def low_outliers(surface: Grid, cell_m: float) -> NDArray[np.bool_]:
-    """Cells that lie in a pit: objects of the inverted surface.
-
-    Parameters
-    ----------
-    surface : (rows, columns) float64
-        Lowest heights without gaps [m].
-    cell_m : float
-        Edge of a cell [m].
-
-    Returns
-    -------
-    (rows, columns) bool
-    """
-    return object_cells(-surface, cell_m, _LOW_SLOPE, cell_m)
 
 
 def fill_gaps(surface: Grid) -> Grid:
@@ -105,8 +86,6 @@ def provisional_terrain(lowest: Grid, cell_m: float, slope: float, window_m: flo
     (rows, columns) float64
     """
     surface = fill_gaps(lowest)
-    low = low_outliers(surface, cell_m)
-    cleaned = fill_gaps(np.where(low, np.nan, surface)) if not low.all() else surface
-    objects = object_cells(cleaned, cell_m, slope, window_m)
-    bare = np.where(objects | low | np.isnan(lowest), np.nan, surface)
-    return fill_gaps(bare) if not np.isnan(bare).all() else cleaned
+    objects = object_cells(surface, cell_m, slope, window_m)
+    bare = np.where(objects | np.isnan(lowest), np.nan, surface)
+    return fill_gaps(bare) if not np.isnan(bare).all() else surface

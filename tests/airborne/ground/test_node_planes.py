@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from spl_batch.airborne.ground.multiscale.node_planes import (
-    FLAT,
     RIDGE,
     above_planes,
     goes_on,
@@ -12,7 +11,7 @@ from spl_batch.airborne.ground.multiscale.node_planes import (
     without_plants,
 )
 from spl_batch.airborne.ground.multiscale_surface import depths_below, ends_within, no_depths
-from spl_batch.airborne.ground.scales import PLANE_M
+from spl_batch.airborne.ground.scales import PLANE_M, SIGMA_M, TILT
 
 POINT_M = 0.4
 
@@ -61,7 +60,7 @@ def test_planes_are_those_of_the_slow_way():
 
 def test_planes_of_one_side_are_those_of_the_slow_way():
     rng = np.random.default_rng(5)
-    xyz = rng.uniform(0, (14, 11, 1.2), (120, 3))
+    xyz = rng.uniform(0, (14, 11, 0.6), (120, 3))
     xyz[:, 2] += np.where(xyz[:, 0] > 7, 2.0, 0.0)
     weight, drift_m, spread_m = rng.uniform(0.2, 1.0, (3, 120)) * [[1.0], [0.3], [0.8]]
     expected = []
@@ -73,7 +72,7 @@ def test_planes_of_one_side_are_those_of_the_slow_way():
             side = at[d[:, :2] @ [np.cos(turn), np.sin(turn)] >= 0]
             if len(side):
                 counted, above, slope, scatter = slow_plane(xyz, weight, i, side)
-                flat = scatter <= FLAT * (spread_m[i] + drift_m[i] * slope)
+                flat = scatter <= SIGMA_M + TILT * drift_m[i] * slope
                 goes |= counted >= 2.5 and flat and above <= 3.0 * spread_m[i]
         expected.append(goes)
     found = goes_on(xyz, nearest(xyz), weight, drift_m, spread_m, np.arange(120))

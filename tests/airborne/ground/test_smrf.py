@@ -2,17 +2,17 @@
 
 import numpy as np
 
-from spl_batch.airborne.ground.smrf import (
-    fill_gaps,
-    low_outliers,
-    provisional_terrain,
-)
+from spl_batch.airborne.ground.smrf import fill_gaps, provisional_terrain
+from tests.airborne.ground.clouds import ground_of, places, table
 
 
-def test_low_outliers_are_pits() -> None:
-    surface = np.add.outer(0.5 * np.arange(20), np.zeros(20))
-    surface[7, 9] -= 30
-    assert np.argwhere(low_outliers(surface, 1.0)).tolist() == [[7, 9]]
+def test_returns_far_below_a_slope_pull_no_terrain_down() -> None:
+    x, y = places(8000, 40)
+    z = 0.5 * x
+    low = np.hypot(x - 22, y - 22) < 0.8
+    found = ground_of(table(x, y, z - 30.0 * low), "smrf")
+    assert low.sum() > 5
+    assert np.array_equal(found, ~low)
 
 
 def test_gaps_are_filled_linearly() -> None:

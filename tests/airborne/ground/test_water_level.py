@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.classes.point_classes import classify
 from spl_batch.airborne.ground.ground_methods import ground_mask
-from spl_batch.airborne.ground.water.level import Levels, flattened, in_water, water_levels
+from spl_batch.airborne.ground.water.level import NOWHERE, Levels, flattened, in_water, water_levels
 from spl_batch.airborne.ground.water.off_water import off_surface
 from spl_batch.airborne.products.surface_rasters import surfaces
 from spl_batch.airborne.settings import GroundSettings, ProductSettings
@@ -70,7 +70,7 @@ def slow_level(x: NDArray[np.int64], y: NDArray[np.int64], z: NDArray[np.int64])
             for c in water & set(agreed)
             if abs(c[0] - cell[0]) <= 5 and abs(c[1] - cell[1]) <= 5
         )
-        levels[cell] = int(near[(len(near) - 1) // 2]) if near else -(2**40)
+        levels[cell] = int(near[(len(near) - 1) // 2]) if near else NOWHERE
     return [levels[(p // 5000, q // 5000)] for p, q in zip(x.tolist(), y.tolist(), strict=True)]
 
 

@@ -17,12 +17,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.ground.multiscale.node_planes import NEAREST, nearest_nodes, on_one_side
+from spl_batch.airborne.ground.multiscale.node_planes import nearest_nodes, on_one_side
 from spl_batch.airborne.ground.scales import (
     BESIDE_M,
     CELL_M,
     EDGE_M,
     LAYER_M,
+    NEAREST,
     ROUGH_M,
     SIDES,
     STEEP,

@@ -11,7 +11,7 @@ Of all sets of nodes those are objects whose steps down, less those up and less 
 opening left, count for more than the links to all others, a step for :data:`SHARE` of a level link.
 The set that gains most is a minimum cut [Greig, Porteous & Seheult 1989]: no patch has to be marked
 off, no size to be set. Where objects are gone the nodes beside them have other neighbours: they are
-looked at again until nothing goes.
+looked at again until nothing goes: so far off as anything has changed for them.
 
 A rock or a spur with steps on three sides is taken for a roof.
 """
@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
-from spl_batch.airborne.ground.multiscale.node_planes import NEAREST, nearest_nodes, slopes_around
-from spl_batch.airborne.ground.scales import PLANE_M, WALL_M
+from spl_batch.airborne.ground.multiscale.node_planes import nearest_nodes, slopes_around
+from spl_batch.airborne.ground.scales import BLOCK_M, NEAREST, PLANE_M, SIDES, WALL_M
+from spl_batch.numerics.neighbours.point_grid import PointGrid
 from spl_batch.numerics.triangulation.tin import triangulate
 
 STEP_M: Final = WALL_M / 2
@@ -34,8 +35,8 @@ SHARE: Final = 0.55
 """A step down counts for so much of a level link, and so does each node that the opening left: with
 0.5 a deck twice as long as wide stays, with 0.6 a rock of 30 m in ISPRS sample 53 goes."""
 
-_UNITS: Final = 100
-"""A flow is of whole numbers: a level link holds so many."""
+_UNITS: Final = np.iinfo(np.int8).max
+"""A flow is of whole numbers: a level link holds so many, and all steps add up in 32 bits."""
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -53,16 +54,30 @@ def objects(nodes: Float, opened: Mask) -> Mask:
         Those that an opening left.
     """
     out = np.zeros(len(nodes), np.bool_)
-    while (left := np.flatnonzero(~out)).size > NEAREST:
-        found = _cut_off(nodes[left], opened[left])
-        out[left[found]] = True
+    look, stays = np.arange(len(nodes)), SHARE * opened
+    while look.size > NEAREST:
+        found = _cut_off(nodes[look], stays)
         if not found.any():
             break
+        out[look[found]] = True
+        look, stays = _around(nodes, opened, look[found], np.flatnonzero(~out))
     return out
 
 
-def _cut_off(nodes: Float, opened: Mask) -> Mask:
-    """The set that gains most by being cut off from all other nodes: (n,) bool."""
+def _around(nodes: Float, opened: Mask, gone: Index, left: Index) -> tuple[Index, Float]:
+    """Nodes that are left around those just gone, and what speaks for each: all beyond a block."""
+    nearest = PointGrid.of(nodes[gone]).nearest(nodes[left], 1)[:, 0]
+    off_m = np.hypot(*(nodes[left] - nodes[gone[nearest]])[:, :2].T)
+    near = off_m < BLOCK_M
+    look, beyond = left[near], off_m[near] >= BLOCK_M / 2
+    return look, np.where(beyond, SIDES, SHARE * opened[look])
+
+
+def _cut_off(nodes: Float, stays: Float) -> Mask:
+    """The set that gains most by being cut off from all other nodes: (n,) bool.
+
+    ``stays``: (n,) float64, what speaks for each node, in level links.
+    """
     out = np.zeros(len(nodes), np.bool_)
     upper, lower, level = neighbours(nodes)
     steps = level <= 0.0
@@ -78,7 +93,7 @@ def _cut_off(nodes: Float, opened: Mask) -> Mask:
         np.concatenate([one, other, np.full_like(every, source), every]),
         np.concatenate([other, one, every, np.full_like(every, sink)]),
         np.concatenate(
-            [level[linked]] * 2 + [np.maximum(-against, 0.0) + SHARE * opened, against.clip(0.0)]
+            [level[linked]] * 2 + [np.maximum(-against, 0.0) + stays, against.clip(0.0)]
         ),
     )
     left = csr_array(graph - maximum_flow(graph, source, sink).flow)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from spl_batch.airborne.ground.lowest_layers import SUPPORTED
-from spl_batch.airborne.ground.scales import DEPTH_M, SIGMA_M
+from spl_batch.airborne.ground.scales import BLOCK_M, DEPTH_M, SIGMA_M
 from spl_batch.airborne.ground.scales import LAYER_M as RETURN_M
 from spl_batch.lattice.tables import PointFlag, PointTable
 from spl_batch.lattice.tiles import cell_index, quanta
@@ -31,8 +31,8 @@ from spl_batch.lattice.tiles import cell_index, quanta
 CELL_M: Final = 5.0
 """Edge of the absolute cells in which the top layer is looked for [m]."""
 
-REACH_CELLS: Final = 5
-"""Cells on each side whose tops make the level [count]."""
+REACH_CELLS: Final = round(1.5 * BLOCK_M / CELL_M)
+"""Cells on each side whose tops make the level: those of a block and of the ones around [count]."""
 
 REACH_M: Final = (REACH_CELLS + 1) * CELL_M
 """How far the level of a place looks, at most [m]."""
@@ -51,7 +51,7 @@ by no more, as with a fall of a twentieth [m]."""
 APART_M: Final = SIGMA_M
 """Levels of all that was returned and of its ground differ by no more [m]."""
 
-NOWHERE: Final = -(2**40)
+NOWHERE: Final = np.iinfo(np.int64).min // 2
 """A level below everything [quanta]."""
 
 Heights = NDArray[np.int64]

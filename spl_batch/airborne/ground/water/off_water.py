@@ -33,8 +33,9 @@ from spl_batch.lattice.tiles import cell_index, quanta
 LAND_CELL_M: Final = CELL_M / 2
 """Edge of the absolute cells in which land is dense [m]."""
 
-PATCH_CELLS: Final = 9
-"""Cells over which land hangs together: those that a boat of 5 m may touch [count]."""
+PATCH_CELLS: Final = round(CELL_M / LAND_CELL_M + 1) ** 2
+"""Cells over which land hangs together: those that a boat as long as a cell of the level may touch
+[count]."""
 
 NEAR_CELLS: Final = -int(-PATCH_CELLS * LAND_CELL_M // CELL_M)
 """Cells of the level around water in which such land lies [count]."""

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.sparse import coo_array
 
-from spl_batch.airborne.ground.multiscale.objects import SHARE, neighbours, objects
+from spl_batch.airborne.ground.multiscale.objects import _UNITS, SHARE, neighbours, objects
 from spl_batch.airborne.ground.scales import PLANE_M
 
 Float = NDArray[np.float64]
@@ -106,10 +106,10 @@ def _least_cost(nodes: Float, opened: Mask) -> Mask:
             cost[j] += SHARE * near
     linked = level > 0
     one, other, link = upper[linked], lower[linked], level[linked]
-    # The flow is of hundredths, and what stays and what goes cost the same twice.
+    # The flow is of whole units, and what stays and what goes cost the same twice.
     down = cost - SHARE * opened
-    units = np.rint(100 * (np.maximum(down, 0) + SHARE * opened)) - np.rint(
-        100 * np.maximum(-down, 0)
+    units = np.rint(_UNITS * (np.maximum(down, 0) + SHARE * opened)) - np.rint(
+        _UNITS * np.maximum(-down, 0)
     )
     n, m = len(nodes), len(link)
     row, pair = np.arange(m), n + np.arange(m)
@@ -122,7 +122,7 @@ def _least_cost(nodes: Float, opened: Mask) -> Mask:
         ),
         shape=(2 * m, n + m),
     )
-    size = np.concatenate([units + 1e-3, np.rint(100 * link)])
+    size = np.concatenate([units + 1e-3, np.rint(_UNITS * link)])
     found = linprog(size, A_ub=most.tocsr(), b_ub=np.zeros(2 * m), bounds=(0, 1)).x[:n]
     assert np.abs(found - np.rint(found)).max() < 1e-6
     chosen: Mask = found > 0.5
