@@ -1,8 +1,8 @@
 """Ground points of one fixed absolute cell with its buffer, by one of several methods.
 
-Domain: space. A TIN has no bounded reach, so the stage never sees a tile or block:
-it runs on squares of ``ground.cell_m`` on the absolute grid with ``ground.buffer_m`` of
-points around them, always the same ones, and its caller keeps what the square owns.
+Domain: space. A TIN has no bounded reach, so the stage never sees a tile:
+it runs on cells of ``ground.cell_m`` on the absolute grid with ``ground.buffer_m`` of
+points around them, always the same ones, and its caller keeps what the cell owns.
 """
 
 from collections.abc import Callable, Mapping
@@ -87,7 +87,7 @@ def ground_mask(
     settings : GroundSettings
         Method and parameters.
     asked : (n,) bool, optional
-        Points to be told; all by default.
+        Points to be judged; all by default.
 
     Returns
     -------
@@ -126,7 +126,7 @@ def ptd_mask(own: Points, asked: Points, settings: PtdSettings) -> NDArray[np.bo
     own : Points
         Evidence; at least one.
     asked : Points
-        Points to be told; at least one.
+        Points to be judged; at least one.
     settings : PtdSettings
         Parameters.
 
@@ -182,7 +182,7 @@ def _start(own: Points, settings: PtdSettings) -> Start:
 
 
 def sparse_at(spacing: Blocks, x: Float, y: Float, node_m: float) -> NDArray[np.bool_]:
-    """Places around which cells of an edge hold too few points of a spacing: (n,) bool."""
+    """Points around which cells of an edge hold too few points of a spacing: (n,) bool."""
     wide: NDArray[np.bool_] = node_m**2 < _FILLED * spacing.at(x, y) ** 2
     return wide
 
@@ -195,7 +195,7 @@ def smrf_mask(own: Points, asked: Points, settings: SmrfSettings) -> NDArray[np.
     own : Points
         Evidence; at least one.
     asked : Points
-        Points to be told; at least one.
+        Points to be judged; at least one.
     settings : SmrfSettings
         Parameters.
 

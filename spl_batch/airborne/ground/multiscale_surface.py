@@ -1,7 +1,7 @@
 """Ground surface from nodes whose scale follows the data, by progressive opening.
 
-Progressive morphological opening [Zhang et al. 2003; Pingel, Clarke & McBride 2013] tells objects
-from terrain by how far a surface of lowest heights falls when a window grows. It needs a surface of
+Progressive morphological opening [Zhang et al. 2003; Pingel, Clarke & McBride 2013] separates
+objects from terrain by how far a surface of lowest heights falls when a window grows. It needs a surface of
 lowest heights that are mostly ground, and it needs the edges of objects. Both fail on real surveys
 with one cell size for all: under trees the lowest return of a metre is a leaf, and at one return
 per four square metres a surface that is interpolated across empty cells turns walls into ramps.
@@ -13,7 +13,7 @@ Deviations from the sources:
   size (:func:`agreeing_nodes`). The opening always runs on cells of 1 m.
 - **Empty cells take the nearest node**, so that a wall stays as steep as it is.
 - **A fall of more than** :data:`WALL_M` from one window to the next is an object's at any radius.
-- **Low outliers** are told among the lowest nodes of :data:`WIDE_M`: a node far below the third
+- **Low outliers** are found among the lowest nodes of :data:`WIDE_M`: a node far below the third
   lowest around is none of the ground's, also where several lie beside each other.
 - **What counts as on the surface** follows from the spacing of the points, and from what ground
   nodes scatter *below* the surface (:func:`spread_below`): vegetation scatters them upwards only.
@@ -178,7 +178,7 @@ def agreeing_nodes(
 
 
 def _in_blocks(at: tuple[Index, Index], some: Mask | slice, shape: tuple[int, int]) -> Float:
-    """How many of some places are in each block and those around."""
+    """How many of some nodes are in each block and those around."""
     row, column = (along[some] for along in at)
     counted = np.bincount(row * shape[1] + column, minlength=shape[0] * shape[1])
     return _around(counted.reshape(shape))
@@ -199,9 +199,9 @@ def depths_below(off: Float, x: Float, y: Float, frame: Blocks | None = None) ->
     off : (n,) float64
         Heights above the surface [m].
     x, y : (n,) float64
-        Places [m]; n > 0.
+        Positions [m]; n > 0.
     frame : Blocks, optional
-        Counts to add to, by default none yet of all blocks around the places.
+        Counts to add to, by default none yet of all blocks around the points.
     """
     if frame is None:
         frame = no_depths(x, y)
@@ -210,7 +210,7 @@ def depths_below(off: Float, x: Float, y: Float, frame: Blocks | None = None) ->
 
 
 def no_depths(x: Float, y: Float) -> Blocks:
-    """None yet, for all blocks around n > 0 places."""
+    """None yet, for all blocks around n > 0 points."""
     return no_counts(x, y, _DEPTHS + 1)
 
 

@@ -84,7 +84,7 @@ def plane_heights(
     xyz : (n, 3) float64
         Nodes [m].
     asked : (m,) int64
-        Nodes to be told.
+        Nodes whose heights are asked for.
     grid : (rows, columns) int64
         A node for each cell, or -1, as :func:`lowest_nodes` finds them.
     cell_m : float

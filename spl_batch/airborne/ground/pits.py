@@ -1,18 +1,18 @@
 """Nodes in pits: single low returns below a smooth surface of their neighbours.
 
 Noise and afterpulses under a meadow make a lowest layer of their own, metre deep, and
-adaptive triangulations start from the lowest. What tells such a pit from ground seen
+adaptive triangulations start from the lowest. What distinguishes such a pit from ground seen
 through leaves is what stands around it: leaves are rough, the meadow is smooth. Two
-neighbours on opposite sides of a node give a height at its place by linear interpolation,
+neighbours on opposite sides of a node give a height at its position by linear interpolation,
 which no tilt of the ground changes. Where most of these heights agree with each other and
-lie above the node, it is in a pit; where they scatter, nothing is said.
+lie above the node, it is in a pit; where they scatter, nothing is decided.
 
-Leaves scatter, but of the thousands of places where ground is seen through a crown, at some half
+Leaves scatter, but of the thousands of nodes where ground is seen through a crown, at some half
 of twelve heights agree by chance, metres above. What is asked depends on how far above the node
 they agree:
 
 - up to :data:`WALL_M`, lower than crowns begin, heights above those that agree are of leaves
-  over the same ground and say nothing: a pit at the edge of a crown is one;
+  over the same ground and prove nothing: a pit at the edge of a crown is one;
 - farther up, all heights count, and a node below many returns of its own cell, as ground seen
   through a crown is, needs agreement among nodes that are not such single returns themselves:
   a roof fills its layers, leaves do not.
@@ -99,7 +99,7 @@ def _pair_heights(
     height: NDArray[np.float64],
     firm: NDArray[np.int64],
 ) -> int:
-    """Heights that opposite neighbours give at a node's place, and their firm ends; how many."""
+    """Heights that opposite neighbours give at a node's position, and their firm ends; how many."""
     row, column = cell // columns, cell % columns
     pairs = 0
     for dr in range(reach + 1):

@@ -32,7 +32,7 @@ class Blocks(NamedTuple):
     first: tuple[int, int]
 
     def numbers(self, x: Places, y: Places) -> tuple[Index, Index]:
-        """Row and column of the blocks that hold places, or of the nearest ones."""
+        """Row and column of the blocks that hold points, or of the nearest ones."""
         row, column = (
             np.clip(np.floor(v / BLOCK_M).astype(np.int64) - first, 0, size - 1)
             for v, first, size in zip((y, x), self.first, self.values.shape[:2], strict=True)
@@ -40,7 +40,7 @@ class Blocks(NamedTuple):
         return row, column
 
     def at(self, x: Places, y: Places) -> NDArray[Any]:
-        """Values of the blocks that hold places [m], or of the nearest ones."""
+        """Values of the blocks that hold points [m], or of the nearest ones."""
         return self.values[self.numbers(x, y)]
 
     def over(self, first: tuple[int, int], shape: tuple[int, ...]) -> NDArray[Any]:
@@ -61,7 +61,7 @@ def no_counts(x: Float, y: Float, kinds: int) -> Blocks:
 def spacings_m(x: Float, y: Float) -> Blocks:
     """Mean spacing of n > 0 points in each block and those around, voids left out [m].
 
-    For two more blocks on each side as well; the outermost have no points around, as places farther
+    For two more blocks on each side as well; the outermost have no points around, as those farther
     out have none: there it is :data:`BLOCK_M`.
     """
     cells = group_by_cell(x, y, BLOCK_M)
@@ -76,7 +76,7 @@ def spacings_m(x: Float, y: Float) -> Blocks:
 
 
 def largest_of(x: Float, y: Float, values: Places, least: float) -> Blocks:
-    """Largest value of n > 0 places in each block and those around, or the least one if larger."""
+    """Largest value of n > 0 points in each block and those around, or the least one if larger."""
     found = no_counts(x, y, 1)
     most = np.full(found.values.shape[:2], least)
     np.maximum.at(most, found.numbers(x, y), values)

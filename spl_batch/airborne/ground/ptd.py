@@ -64,7 +64,7 @@ def densify(
     Parameters
     ----------
     seeds : (s, 3) float64
-        First vertices [m], at different places.
+        First vertices [m], at different positions.
     candidates : (c, 3) float64
         Points that may become vertices [m], near ones following each other.
     floor : (c,) float64
@@ -115,7 +115,7 @@ def densify(
 
 
 def _frame(xyz: NDArray[np.float64], margin_m: float) -> NDArray[np.float64]:
-    """Places on a rectangle around all points, about a margin apart: (f, 3), z = 0."""
+    """Positions on a rectangle around all points, about a margin apart: (f, 3), z = 0."""
     low = xyz[:, :2].min(axis=0) - margin_m
     high = xyz[:, :2].max(axis=0) + margin_m
     steps = np.maximum(np.ceil((high - low) / (2 * margin_m)), 1).astype(int) + 1
@@ -127,9 +127,9 @@ def _frame(xyz: NDArray[np.float64], margin_m: float) -> NDArray[np.float64]:
 
 
 def _continued(vertices: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Height of the plane through the vertices nearest to each place: (f,).
+    """Height of the plane through the vertices nearest to each position: (f,).
 
-    The plane's slope is damped, so that it vanishes where the vertices do not tell it.
+    The plane's slope is damped, so that it vanishes where the vertices do not show it.
     """
     k = min(NEAREST, len(vertices))
     nearest = PointGrid.of(vertices).nearest(places, k)

@@ -33,7 +33,7 @@ NEAREST: Final = 20
 """Planes go through so many of the nearest nodes [count]."""
 
 DAMPING_M2: Final = 0.1
-"""Added to the scatter of places when a plane is fitted: a slope that they do not show is none
+"""Added to the scatter of positions when a plane is fitted: a slope that they do not show is none
 [m2]."""
 
 SIGMA_M: Final = 0.05

@@ -60,7 +60,7 @@ def _jitter(height: NDArray[np.float64]) -> NDArray[np.float64]:
     """Small steps aside that heights alone decide: (n, 2) [cells].
 
     Four corners of a square have two Delaunay triangulations; which one Qhull takes may
-    depend on points far away. Steps aside leave one, in whatever cutout a place is seen.
+    depend on points far away. Steps aside leave one, in whatever cutout a cell is seen.
     """
     turns = height[:, None] * np.array([1e3 * np.sqrt(2.0), 1e3 * np.sqrt(3.0)])
     steps: NDArray[np.float64] = _JITTER_CELLS * (turns - np.floor(turns) - 0.5)

@@ -110,7 +110,7 @@ def multiscale_mask(places: Place, own: Mask, asked: Mask, sigma: Blocks = EVERY
 
 
 def _of(places: Place, chosen: Mask) -> Place:
-    """Some places; no copy where all are meant."""
+    """Some points; no copy where all are meant."""
     if chosen.all():
         return places
     x, y, z = (v[chosen] for v in places)

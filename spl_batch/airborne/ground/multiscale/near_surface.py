@@ -76,7 +76,7 @@ def near_surface(surface: Surface, places: Place, asked: Mask) -> Near:
     places : three (n,) float64
         Points [m], near ones following each other.
     asked : (n,) bool
-        Which are to be told.
+        Which are asked for.
     """
     tin, at = surface.tin, np.flatnonzero(asked)
     x, y, z = (v[at] for v in places)
@@ -97,12 +97,12 @@ def near_surface(surface: Surface, places: Place, asked: Mask) -> Near:
 
 
 def facets_at(tin: Tin, x: Float, y: Float) -> NDArray[np.int32]:
-    """Triangle of the lowest number that holds each place; -1 outside: (n,).
+    """Triangle of the lowest number that holds each point; -1 outside: (n,).
 
     Parameters
     ----------
     x, y : (n,) float64
-        Places [m], near ones following each other.
+        Points [m], near ones following each other.
     """
     found = np.empty(len(x), np.int32)
     _facets_at(tin.xyz, tin.facets, tin.neighbours, x, y, found)
@@ -113,7 +113,7 @@ def facets_at(tin: Tin, x: Float, y: Float) -> NDArray[np.int32]:
 def _facets_at(
     xyz: Float, facets: Facets, neighbours: Facets, x: Float, y: Float, out: Facets
 ) -> None:
-    """Fill for each place."""
+    """Fill for each point."""
     last = 0
     for i in range(len(x)):
         found, last = locate_one(xyz, facets, neighbours, x[i], y[i], last)
@@ -126,7 +126,7 @@ def needed(x: Float, y: Float, own: Mask, asked: Mask, blocks: Blocks) -> Mask:
     Parameters
     ----------
     x, y : (n,) float64
-        Places [m].
+        Points [m].
     own, asked : (n,) bool
         Evidence, which is counted by blocks, and points to be judged.
     blocks : Blocks

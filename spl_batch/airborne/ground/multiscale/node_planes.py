@@ -39,7 +39,7 @@ LEAST: Final = 2.5
 is off by 13 cm more."""
 
 RIDGE: Final = 0.005
-"""Share of the scatter of places that is added to it: where these nearly line up a plane is level
+"""Share of the scatter of positions that is added to it: where these nearly line up a plane is level
 across the line."""
 
 Float = NDArray[np.float64]
@@ -83,7 +83,7 @@ def without_plants(nodes: Float, point_m: Float) -> tuple[Float, Float]:
 def under_planes(nodes: Float, filled: Mask, doubtful: Mask) -> Mask:
     """Nodes of few returns far below the plane of the ground around: (n,) bool.
 
-    Noise that is left below a crown takes the place of the ground among the lowest returns of a
+    Noise that is left below a crown stands in for the ground among the lowest returns of a
     cell. It is compared with the nearest well-filled nodes, then, if many returns lie above it in
     its cell, with all that are left. Where single returns are all that there is, as in sparse
     surveys, none is judged.

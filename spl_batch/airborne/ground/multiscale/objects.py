@@ -1,7 +1,7 @@
 """Objects among nodes that pass for ground: sets whose outline steps down to the outside.
 
 An opening leaves a few nodes on roofs, and what grows on from ground reaches decks and roofs as
-well as crests, rims and terraces. What tells them apart is their outline: a roof steps down all
+well as crests, rims and terraces. What distinguishes them is their outline: a roof steps down all
 round, a deck on its two long sides, and both go; a terrace steps down on one side, the surface goes
 on to it on the others, and a hillside steps down as often as up: they stay.
 
@@ -65,7 +65,10 @@ def objects(nodes: Float, opened: Mask) -> Mask:
 
 
 def _around(nodes: Float, opened: Mask, gone: Index, left: Index) -> tuple[Index, Float]:
-    """Nodes that are left around those just gone, and what speaks for each: all beyond a block."""
+    """Nodes within a block's length of those just gone, and what speaks for each of them.
+
+    Beyond half of it nothing has changed for them: more speaks for each than steps can outweigh.
+    """
     nearest = PointGrid.of(nodes[gone]).nearest(nodes[left], 1)[:, 0]
     off_m = np.hypot(*(nodes[left] - nodes[gone[nearest]])[:, :2].T)
     near = off_m < BLOCK_M

@@ -35,7 +35,7 @@ REACH_CELLS: Final = round(1.5 * BLOCK_M / CELL_M)
 """Cells on each side whose tops make the level: those of a block and of the ones around [count]."""
 
 REACH_M: Final = (REACH_CELLS + 1) * CELL_M
-"""How far the level of a place looks, at most [m]."""
+"""How far the level of a return looks, at most [m]."""
 
 LAYER_M: Final = 2 * RETURN_M
 """Thickness of the top layer: returns above and below the surface [m]."""
@@ -76,13 +76,13 @@ class Levels(NamedTuple):
     level: Heights
 
     def at(self, x: Heights, y: Heights) -> Heights:
-        """Level at places in water: (n,) [quanta]; :data:`NOWHERE` where it is not known."""
+        """Level of returns in water: (n,) [quanta]; :data:`NOWHERE` where it is not known."""
         i, j = self._cell(x, y)
         at: Heights = self.number[i, j]
         return self.level[at]
 
     def near(self, x: NDArray[Any], y: NDArray[Any], cells: int) -> NDArray[np.bool_]:
-        """Which places lie in a cell with water, or so many cells beside one: (n,) bool."""
+        """Which returns lie in a cell with water, or so many cells beside one: (n,) bool."""
         around = ndimage.maximum_filter(np.pad(self.number >= 0, cells), 2 * cells + 1)
         i, j = (along + cells for along in self._cell(x, y))
         there: NDArray[np.bool_] = (i >= 0) & (i < around.shape[0])
@@ -91,7 +91,7 @@ class Levels(NamedTuple):
         return there
 
     def _cell(self, x: NDArray[Any], y: NDArray[Any]) -> tuple[Heights, Heights]:
-        """Column and row of the cells of places, on from the first one."""
+        """Column and row of the cells of returns, on from the first one."""
         edge = quanta(CELL_M)
         return cell_index(x, edge) - self.first[0], cell_index(y, edge) - self.first[1]
 
@@ -153,7 +153,7 @@ def in_water(
     table : PointTable
         Points with ``x, y, z, flags``.
     usable : (n,) bool, optional
-        Those to be told; all by default.
+        Those to be judged; all by default.
     """
     wet = table.has(PointFlag.WATER)
     rows = np.flatnonzero(wet if usable is None else wet & usable)

@@ -56,7 +56,7 @@ def off_surface(table: PointTable, usable: NDArray[np.bool_]) -> NDArray[np.bool
     Parameters
     ----------
     table : PointTable
-        All points of a place with ``x, y, z, flags``.
+        All points of a cell with ``x, y, z, flags``.
     usable : (n,) bool
         Signal; level and land are taken from these.
 
