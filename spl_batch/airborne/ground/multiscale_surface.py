@@ -1,10 +1,11 @@
 """Ground surface from nodes whose scale follows the data, by progressive opening.
 
 Progressive morphological opening [Zhang et al. 2003; Pingel, Clarke & McBride 2013] separates
-objects from terrain by how far a surface of lowest heights falls when a window grows. It needs a surface of
-lowest heights that are mostly ground, and it needs the edges of objects. Both fail on real surveys
-with one cell size for all: under trees the lowest return of a metre is a leaf, and at one return
-per four square metres a surface that is interpolated across empty cells turns walls into ramps.
+objects from terrain by how far a surface of lowest heights falls when a window grows. It needs a
+surface of lowest heights that are mostly ground, and it needs the edges of objects. Both fail on
+real surveys with one cell size for all: under trees the lowest return of a metre is a leaf, and at
+one return per four square metres a surface that is interpolated across empty cells turns walls into
+ramps.
 
 Deviations from the sources:
 

@@ -39,8 +39,8 @@ LEAST: Final = 2.5
 is off by 13 cm more."""
 
 RIDGE: Final = 0.005
-"""Share of the scatter of positions that is added to it: where these nearly line up a plane is level
-across the line."""
+"""Share of the scatter of positions that is added to it: where these nearly line up a plane is
+level across the line."""
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
