@@ -54,7 +54,7 @@ def objects(nodes: Float, opened: Mask) -> Mask:
         Those that an opening left.
     """
     out = np.zeros(len(nodes), np.bool_)
-    look, stays = np.arange(len(nodes)), SHARE * opened
+    look, stays = np.arange(len(nodes)), np.where(opened, SHARE, 0.0)
     while look.size > NEAREST:
         found = _cut_off(nodes[look], stays)
         if not found.any():
