@@ -95,7 +95,8 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     heaviest = max(held, key=lambda need: need.memory_bytes)
     usual = {stage: pace.points_per_s for stage, pace in PACES.items()}
     rates, measured = measured_rates(usual, context)
-    compared = sum(facts.n_points for facts in survey.inputs.reference.usable)
+    references = survey.inputs.reference
+    compared = sum(facts.n_points for facts in references.usable)
     work = dict.fromkeys(rates, float(points)) | {"report": float(compared)}
     # What a store has measured has margins, the time of its tasks and its octrees in it.
     typical = {stage for stage, rate in rates.items() if rate == usual[stage]}
@@ -117,7 +118,7 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
         "ground": cells,
         "surfaces": cells,
         "deliver": delivered + _rasters_and_comparisons(survey, cells),
-        "report": sum(map(len, survey.inputs.reference)) + reference_tasks.squares(survey),
+        "report": len(references.usable + references.bad) + reference_tasks.squares(survey),
     }
     alone = {stage: PACES[stage].task_s * tasks[stage] * (stage in typical) for stage in rates}
     if "deliver" in typical:

@@ -97,7 +97,7 @@ def checkpoints(survey: Survey) -> Iterator[Task]:
 def squares(survey: Survey) -> int:
     """Squares that the headers of reference files reach, by which they are compared [count]."""
     edge, _ = _lattice(survey)
-    boxes = [facts for facts in survey.inputs.reference.usable if facts.n_points]
+    boxes = survey.inputs.reference.holding
     low, high = (
         np.array([[quanta(v) // edge for v in corner[:2]] for corner in corners]).reshape(-1, 2)
         for corners in ([f.mins_m for f in boxes], [f.maxs_m for f in boxes])
@@ -113,7 +113,7 @@ def _lattice(survey: Survey) -> tuple[int, int]:
     cell = quanta(survey.workflow.products.cell_m)
     # what stands beside a point stands above ground that is beside it
     margin = max(quanta(2 * OPEN_M), MARGIN_CELLS * cell)
-    boxes = [facts for facts in survey.inputs.reference.usable if facts.n_points]
+    boxes = survey.inputs.reference.holding
     area_m2 = sum(facts.area_m2 for facts in boxes)
     points = sum(facts.n_points for facts in boxes)
     held = min(STRETCH_POINTS, points_within("accuracy", survey.memory_bytes) // UNEVEN)

@@ -10,7 +10,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from pyproj import CRS
 
-from spl_batch.airborne.plan.inputs.file_positions import extent, inspected, usable
+from spl_batch.airborne.plan.inputs.file_positions import extent
+from spl_batch.airborne.plan.inputs.files import Files
 from spl_batch.airborne.plan.inputs.survey_crs import contradiction
 from spl_batch.airborne.settings import ReferenceSettings
 from spl_batch.airborne.tasks.reference import read_named
@@ -43,20 +44,13 @@ _REMEDY: Final = f"name it in {KEY}:"
 """What states the heights of a reference file whose CRS leaves them open."""
 
 
-class ReferenceFiles(NamedTuple):
-    """Files of reference points."""
-
-    usable: tuple[LasFacts, ...] = ()
-    bad: tuple[InputError, ...] = ()
-
-
 def checked_reference(
     paths: Iterable[Path],
     settings: ReferenceSettings | None,
     crs: CRS | None,
     others: Sequence[InputError],
-) -> ReferenceFiles:
-    """Facts of reference files in the survey's CRS, in metres, and what is wrong with the rest.
+) -> Files:
+    """Reference files by their headers, in the survey's CRS, in metres.
 
     Raises WorkflowError if every file that can be read is in another CRS: then the request is
     wrong, not the files. ``others``: files of the survey that are in another CRS themselves: any of
@@ -64,7 +58,8 @@ def checked_reference(
     """
     stated = settings.crs if settings else None
     given = None if stated is None else parse_crs(stated, KEY)
-    known, damaged = inspected(paths)
+    files = Files(paths)
+    damaged = len(files.bad)
 
     def fault(facts: LasFacts) -> str:
         if facts.crs is None or given is None:
@@ -78,12 +73,12 @@ def checked_reference(
             or _crs_fault(facts, found, crs, others)
         )
 
-    good, elsewhere = usable(known, fault)
-    if elsewhere and not good:
-        faults = (f"reference.points: {text}" for text in merged_faults([*damaged, *elsewhere]))
+    files.leave_out(fault)
+    if len(files.bad) > damaged and not files.usable:
+        faults = (f"reference.points: {text}" for text in merged_faults(files.bad))
         raise WorkflowError("; ".join(faults))
-    in_metres = (facts.in_metres(Units.of(crs)) for facts in good)
-    return ReferenceFiles(tuple(in_metres), (*damaged, *elsewhere))
+    files.in_metres(Units.of(crs))
+    return files
 
 
 def _crs_fault(
@@ -112,65 +107,53 @@ class CheckpointFile(NamedTuple):
 
     path: Path
     name: str
-    units: Sequence[str] = ()  #: Units that its heights are in, by PROJ's names.
+    units: Sequence[str]  #: Units that its heights are in, by PROJ's names.
 
 
-def named_file(settings: ReferenceSettings | None, base: Path) -> CheckpointFile | None:
-    """The file that a workflow names; None where it names none."""
-    if settings is None or settings.checkpoints is None:
-        return None
-    path = real_path(base / settings.checkpoints)
-    return CheckpointFile(path, name_below(path, base))
-
-
-def looked_into(
-    file: CheckpointFile | None,
-    crs: CRS | None,
-    settings: ReferenceSettings | None,
-    files: Sequence[LasFacts],
+def checked_checkpoints(
+    settings: ReferenceSettings | None, base: Path, crs: CRS | None, files: Files
 ) -> tuple[CheckpointFile | None, list[Finding]]:
-    """The file with its units, and findings on it, before the work starts.
+    """The file that a workflow names, if it does, and findings on it, before the work starts.
 
     Raises WorkflowError where it is of no use. ``files``: those of the survey.
     """
-    if file is None:
-        return file, []
+    if settings is None or settings.checkpoints is None:
+        return None, []
+    path = real_path(base / settings.checkpoints)
     try:
-        with as_input_fault(file.path):
-            known, remarks, units = read_named(file.path, crs, settings)
+        with as_input_fault(path):
+            known, remarks, units = read_named(path, crs, settings)
     except InputError as fault:
         raise WorkflowError(f"reference.checkpoints: {fault}") from None
-    remarks += _misplaced(known, [f for f in files if f.n_points], Units.of(crs))
-    findings = [Finding("C01", {"kind": "file", "what": text}, file.name) for text in remarks]
-    return file._replace(units=units), findings
+    remarks += _misplaced(known, files, Units.of(crs))
+    name = name_below(path, base)
+    findings = [Finding("C01", {"kind": "file", "what": text}, name) for text in remarks]
+    return CheckpointFile(path, name, units), findings
 
 
-def _misplaced(
-    points: Sequence[Checkpoint], files: Sequence[LasFacts], units: Units
-) -> Iterator[str]:
+def _misplaced(points: Sequence[Checkpoint], files: Files, units: Units) -> Iterator[str]:
     """Where all checkpoints lie and where the survey does: a wrong CRS, or unit, shows at once.
 
     Headers' boxes hold far noise too, which makes them larger: nothing is named wrongly for that. A
     wrong unit that it hides is named beside the terrain, once there is one.
     """
     places = np.array([(point.x_m, point.y_m, point.z_m) for point in points]).reshape(-1, 3)
-    low, high = (np.array([getattr(f, end) for f in files]) for end in ("mins_m", "maxs_m"))
+    ends = [(facts.mins_m, facts.maxs_m) for facts in files.holding]
+    low, high = np.array(ends).transpose(1, 0, 2)
     inside = (places[:, None] >= low) & (places[:, None] <= high)
     within = inside[..., 0] & inside[..., 1]
     if len(points) and not within.any():
-        mine, survey = (
-            extent(ends, units) for ends in (places[:, :2], np.concatenate([low, high])[:, :2])
-        )
+        mine, survey = (extent(some, units) for some in (places[:, :2], files.corners))
         yield (
             f"none of {len(points)} checkpoints lies within the survey: they lie within {mine}, "
             f"its points within {survey}; name their CRS in reference.checkpoints_crs if it is "
             "another"
         )
     elif len(points) and not (within & inside[..., 2]).any():
-        z, ends = places[np.any(within, axis=1), 2], (low[:, 2].min(), high[:, 2].max())
+        z = places[np.any(within, axis=1), 2]
         mine, survey = (
             " to ".join(both(end, units.of_heights) for end in (np.min(some), np.max(some)))
-            for some in (z, ends)
+            for some in (z, np.array([low, high])[..., 2])
         )
         yield (
             f"none of {len(z)} checkpoints has a height that points have there: {mine}, those of "
