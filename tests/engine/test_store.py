@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spl_batch.airborne.store.voxel_parts import StoredVoxels, write_voxels
+from spl_batch.airborne.store.voxel_parts import read_voxels, write_voxels
 from spl_batch.engine.store.working_store import (
     Store,
     append_log,
@@ -216,16 +216,16 @@ def test_voxel_parts_add_up_in_any_order(tmp_path: Path) -> None:
     parts = [part((-5, 0, 2), (7, 5, 3), 1), part((-1, 3, 0), (40, 35, 4), 2)]
     whole = np.zeros((60, 60, 20), np.int64)
     for k, p in enumerate(parts):
-        write_voxels(tmp_path / f"{k}.zarr", p)
+        write_voxels(tmp_path / f"{k}.npz", p)
         at = tuple(slice(c + 10, c + 10 + n) for c, n in zip(p.corner, p.amount.shape, strict=True))
         whole[at] += p.amount
     for order in ((0, 1), (1, 0)):
         box = np.zeros((12, 30, 3), np.int64)
         for k in order:
-            StoredVoxels(tmp_path / f"{k}.zarr").add((-3, 1, 1), {"amount": box})
+            read_voxels(tmp_path / f"{k}.npz").add((-3, 1, 1), {"amount": box})
         assert np.array_equal(box, whole[7:19, 11:41, 11:14])
     far = np.zeros((2, 2, 2), np.int64)
-    StoredVoxels(tmp_path / "0.zarr").add((100, 0, 0), {"amount": far})
+    read_voxels(tmp_path / "0.npz").add((100, 0, 0), {"amount": far})
     assert not far.any()
 
 
@@ -234,7 +234,7 @@ def test_the_same_part_gives_the_same_bytes(tmp_path: Path) -> None:
         write_voxels(tmp_path / name, part((0, 0, 0), (40, 3, 2), 5))
     assert checksum(tmp_path / "a") == checksum(tmp_path / "b")
     write_voxels(tmp_path / "empty", part((0, 0, 0), (0, 0, 0), 5))
-    StoredVoxels(tmp_path / "empty").add((0, 0, 0), {"amount": np.zeros((2, 2, 2), np.int64)})
+    read_voxels(tmp_path / "empty").add((0, 0, 0), {"amount": np.zeros((2, 2, 2), np.int64)})
 
 
 def test_the_log_has_one_line_for_each_event(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ from spl_batch.airborne.noise import voxel_noise
 from spl_batch.airborne.noise.line_model import LineModel
 from spl_batch.airborne.products.reflectance import fired_beamlets
 from spl_batch.airborne.store.flown_lines import Pass, line_of
-from spl_batch.airborne.store.voxel_parts import write_voxels
+from spl_batch.airborne.store.voxel_parts import voxel_file, write_voxels
 from spl_batch.airborne.tasks.stretches import (
     GROUP_POINTS,
     read_kept,
@@ -320,7 +320,7 @@ def _assess(
     parts = voxel_noise.deposit(lit, beams, model, workflow.noise, ground)
     # A stretch is one box of voxels, unless some of its points lie far from the rest.
     names = [f"{args['stretch']}{f'.{k}' if k else ''}" for k in range(len(parts))]
-    paths = [context.store.path("voxels", f"{name}.zarr") for name in names]
+    paths = [voxel_file(context.store, name) for name in names]
     for path, part in zip(paths, parts, strict=True):
         write_voxels(path, part)
     facts["voxels"] = {name: part.box() for name, part in zip(names, parts, strict=True)}

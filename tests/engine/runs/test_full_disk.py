@@ -57,7 +57,7 @@ def npz(folder: Path) -> None:
 
 
 def voxels(folder: Path) -> None:
-    write_voxels(folder / "v.zarr", VoxelPart((0, 0, 0), NOISE.integers(0, 2**60, (30, 30, 30))))
+    write_voxels(folder / "v.npz", VoxelPart((0, 0, 0), NOISE.integers(0, 2**60, (30, 30, 30))))
 
 
 def cell(folder: Path) -> None:
