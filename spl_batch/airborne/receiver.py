@@ -13,12 +13,7 @@ from spl_batch.airborne.catalogue.delivered_files import (
     VIRTUAL,
 )
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.lines.comparison import (
-    done_sentence,
-    offset_warnings,
-    pairs_of,
-    shifts_of,
-)
+from spl_batch.airborne.lines.comparison import done_sentence, shifts_of
 from spl_batch.airborne.plan.cost import SurveyCost, estimate
 from spl_batch.airborne.plan.grid import require_whole_cells
 from spl_batch.airborne.plan.inputs.findings import (
@@ -141,7 +136,6 @@ class Imaging(Receiver[Survey, Context]):
             yield beams_without_trajectory(survey)
         if step.name == "align" and survey.workflow.survey.align != "none":
             yield from _shift_notes(survey, prepared.context.shown_units)
-        yield from _swath_findings(step, survey)
 
     def reference(self, ledger: Survey) -> list[str]:
         """Files that the results are compared with."""
@@ -185,13 +179,6 @@ class Imaging(Receiver[Survey, Context]):
 
 RECEIVER: Final[Receiver[Any, Any]] = Imaging()
 """The one there is."""
-
-
-def _swath_findings(step: Step, survey: Survey) -> Iterator[Finding]:
-    """What is found of flightlines where they overlap."""
-    if step.name == "strip_pairs":
-        pairs = pairs_of(survey.of("strip_pairs").values())
-        yield from offset_warnings(pairs, survey.workflow.survey.align)
 
 
 def _shift_notes(survey: Survey, units: Units) -> Iterator[Finding]:

@@ -88,7 +88,13 @@ def strip_pairs(args: Mapping[str, Any], context: Context) -> Produced:
     write_arrays(path, _map(patches))
     overlaps = {tuple(sorted(names[k] for k in two)) for two in found.overlaps.tolist()}
     lacking = sorted(overlaps - {(one.first, one.second) for one in pairs})
-    return Produced([path], {"pairs": [asdict(pair) for pair in pairs], "not_compared": lacking})
+    facts = {
+        "name": "",  # what is found concerns the survey
+        "pairs": [asdict(pair) for pair in pairs],
+        "not_compared": lacking,
+        "findings": [*offset_warnings(pairs, "vertical" if args["aligned"] else "none")],
+    }
+    return Produced([path], facts)
 
 
 class _Cells(NamedTuple):

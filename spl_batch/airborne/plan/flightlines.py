@@ -121,10 +121,12 @@ def _flightline(
     stretch = interval * 2 ** max(math.floor(math.log2(max(wanted, 1.0))), 0)
     rates = [(a, b, receipts[key].facts["fullest"][str(psid)]) for a, b, _, key in lift]
     start, end = clock.shot(np.array([first, last])).tolist()
-    while stretch > interval and start // (stretch // 2) == end // (stretch // 2):
-        stretch //= 2  # one that holds all of it is the same, however much memory there is
     most = UNEVEN * STRETCH_POINTS
-    while stretch > interval and points > most and fullest_span(rates, stretch / prf) > most:
+    # One that holds all of it is the same, however much memory there is.
+    while stretch > interval and (
+        start // (stretch // 2) == end // (stretch // 2)
+        or (points > most and fullest_span(rates, stretch / prf) > most)
+    ):
         stretch //= 2
     return Flightline(
         f"{psid:05d}_{math.floor(first)}",

@@ -5,12 +5,13 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Final
 
-import numpy as np
+import shapely
 
 from spl_batch.airborne.accuracy.differences import OPEN_M
 from spl_batch.airborne.plan.space_tasks import points_of
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import STRETCH_POINTS, UNEVEN, points_within, refusal
+from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.plan.input_files import source_key
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.task import Task
@@ -97,12 +98,8 @@ def checkpoints(survey: Survey) -> Iterator[Task]:
 def squares(survey: Survey) -> int:
     """Squares that the headers of reference files reach, by which they are compared [count]."""
     edge, _ = _lattice(survey)
-    boxes = survey.inputs.reference.holding
-    low, high = (
-        np.array([[quanta(v) // edge for v in corner[:2]] for corner in corners]).reshape(-1, 2)
-        for corners in ([f.mins_m for f in boxes], [f.maxs_m for f in boxes])
-    )
-    return int((high - low + 1).prod(axis=1).sum())
+    ends = shapely.bounds(survey.inputs.reference.boxes) * QUANTA_PER_M // edge
+    return int((ends[:, 2:] - ends[:, :2] + 1).prod(axis=1).sum())
 
 
 def _lattice(survey: Survey) -> tuple[int, int]:
