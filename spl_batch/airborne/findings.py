@@ -144,7 +144,7 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "seem about {seconds:.1f} s {late}; a part of each scan alone looks so, too",
                 "uncovered": "the trajectory does not cover {count:returns} between gps_time "
                 "{first_s:.3f} and {last_s:.3f}, or they do not lie below it",
-                "unit": "puts the sensor {stated_m:length} above its returns in {lines}, whose "
+                "unit": "puts the sensor {stated_m:length} above its returns in {line}, whose "
                 "lines of sight meet {met_m:length} above them: its heights seem to be in {unit}; "
                 "name its CRS with that of its heights, survey.trajectory_crs: {crs}",
                 "file": "{what}",

@@ -19,10 +19,7 @@ from spl_batch.airborne.plan.grid import require_whole_cells
 from spl_batch.airborne.plan.inputs.findings import (
     beams_without_trajectory,
     copies,
-    heights_in_other_unit,
     judge_index,
-    looks_ahead,
-    merged_shots,
     points_astray,
     refuse_empty_area,
 )
@@ -120,10 +117,6 @@ class Imaging(Receiver[Survey, Context]):
         survey = prepared.ledger
         if step.name == "index_file":
             yield from judge_index(survey, [r for r in failed if r.kind.startswith("index_")])
-        if step.name == "observe":
-            yield from merged_shots(survey)
-            yield from looks_ahead(survey)
-            yield from heights_in_other_unit(survey)
         if step.name == "build_tile":
             refuse_empty_area(survey)
             yield from copies(survey)

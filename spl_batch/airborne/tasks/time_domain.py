@@ -26,6 +26,7 @@ from spl_batch.airborne.noise.line_model import LineModel
 from spl_batch.airborne.products.reflectance import fired_beamlets
 from spl_batch.airborne.store.flown_lines import Pass, line_of
 from spl_batch.airborne.store.voxel_parts import voxel_file, write_voxels
+from spl_batch.airborne.tasks.line_findings import line_findings
 from spl_batch.airborne.tasks.stretches import (
     GROUP_POINTS,
     read_kept,
@@ -198,6 +199,7 @@ def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
         found += uneven(parts, _spans_s(args), law, rate, beamlets.seen)
     write_arrays(path, {**model.to_arrays(), **law.to_arrays()})
     seen = model.seen_fraction
+    wrong = line_findings(args["line"], args["stretches"], context.store)
     facts = {
         **{k: args[k] for k in ("points", "span_s", "prf_hz", "prf_basis", "beamlets", "basis")},
         "name": str(args["line"]),
@@ -205,7 +207,7 @@ def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
         "gate_basis": model.gate_basis,
         "noise_per_m": model.mean_rate,
         "seen_fraction": float(seen.mean()) if len(seen) else None,
-        "findings": [*model.findings, *found],
+        "findings": [*wrong, *model.findings, *found],
     }
     return Produced([path], facts, args["points"])
 
