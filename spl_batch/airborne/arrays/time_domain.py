@@ -42,7 +42,7 @@ class Assessed(NamedTuple):
 
 
 def assess(table: PointTable, origin_m: NDArray[np.float64] | None, settings: Workflow) -> Assessed:
-    """What the shots of a cloud tell of its noise and its afterpulses.
+    """Noise and afterpulses of a cloud by its shots.
 
     Without channels (all the same) each shot is one beamlet. ``origin_m`` (n, 3) is the position of
     the sensor at each point's shot [m], NaN where it is not known; None finds its path where lines

@@ -46,7 +46,7 @@ class Layer(NamedTuple):
 
     name: str
     shapes: Sequence[shapely.Geometry]  #: Where they are.
-    columns: Mapping[str, Sequence[Any]]  #: What is said of them.
+    columns: Mapping[str, Sequence[Any]]  #: Their attributes.
 
 
 def write_catalogues(

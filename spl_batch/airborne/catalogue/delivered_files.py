@@ -59,7 +59,7 @@ class Cloud:
     #: West, south, lowest, east, north, highest, in its CRS and that's units.
     bounds: Sequence[float]
     points: int
-    span_s: Span | None  #: None without times, or of a clock that tells no year.
+    span_s: Span | None  #: None without times, or of a clock without a year.
     #: Name, bytes and kind (``floating``, ``unsigned``, ``signed``) of each dimension.
     dimensions: tuple[tuple[str, int, str], ...]
     crs: CRS | None  #: Of its coordinates.
@@ -161,7 +161,7 @@ def _to_degrees(crs: CRS) -> Transformer:
 
 
 def leads_to_degrees(crs: CRS) -> bool:
-    """Whether a CRS tells where on earth its places lie; that of a building site does not."""
+    """Whether a CRS has a place on earth; that of a building site has none."""
     try:
         _to_degrees(crs)
     except ProjError:

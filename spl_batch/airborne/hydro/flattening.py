@@ -29,7 +29,7 @@ ABOVE_M: Final = 0.25
 """Water that stands higher than the terrain beside it by more than this floods its bank [m]."""
 
 FLOODED_SHARE: Final = 0.05
-"""Share of its bank that water may flood without a word, 0..1."""
+"""Share of its bank that water may flood without a warning, 0..1."""
 
 Raster = NDArray[np.float32]
 

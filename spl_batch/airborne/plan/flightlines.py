@@ -17,11 +17,11 @@ from spl_batch.engine.tasks.task import Receipt
 from spl_batch.lattice.tables import ShotClock
 
 FALLBACK_PRF_HZ = 50_000.0
-"""Pulse rate where neither the workflow nor the data tell one [Hz]."""
+"""Pulse rate where neither the workflow states one nor the data show it [Hz]."""
 
 
 STEPS = 8
-"""Steps of a span of time in which parts of it are told apart [count]."""
+"""Steps of a span of time in which parts of it are known [count]."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -90,7 +90,7 @@ class Grid(NamedTuple):
 
     @classmethod
     def of_workflow(cls, boxes: Iterable[Sequence[int]], workflow: Workflow) -> Self:
-        """Cells of a survey, as its workflow says; see :meth:`of_boxes`."""
+        """Cells of a survey, by its workflow; see :meth:`of_boxes`."""
         return cls.of_boxes(boxes, quanta(workflow.ground.cell_m), strip_q(workflow))
 
     def keeper(self, square: CellId) -> CellId:

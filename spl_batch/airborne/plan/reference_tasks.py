@@ -18,7 +18,7 @@ from spl_batch.engine.tasks.task import Task
 from spl_batch.lattice.tiles import CellId, cell_bounds, overlap, parse_cell, quanta
 
 MARGIN_CELLS: Final = 2
-"""Raster cells whose tops tell whether their neighbour is a roof's edge [count]."""
+"""Raster cells whose tops show whether their neighbour is a roof's edge [count]."""
 
 COMPARED: Final = ("dtm", "dsm", "chm")
 """Rasters that are looked at; nothing is compared without the first two."""

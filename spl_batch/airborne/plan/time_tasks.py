@@ -151,7 +151,7 @@ def _of_lines(kind: str, of: str, survey: Survey) -> Iterator[Task]:
 def scatter(survey: Survey) -> Iterator[Task]:
     """Stretches that are shared among tiles."""
     filtering = survey.workflow.filter
-    # Only filters of single shots read what shots say: the others share the points as they are.
+    # Only filters of single shots read what shots hold: the others share the points as they are.
     method = filtering.method
     of_shots = {method: getattr(filtering, method).model_dump()} if method in OF_SHOTS else None
     for line in survey.flightlines:
@@ -172,7 +172,7 @@ def scatter(survey: Survey) -> Iterator[Task]:
 
 def _ranges(survey: Survey) -> Iterator[Task]:
     """Parts of the files, where nothing filters, to be shared among tiles."""
-    # Their id and time tell which flightline they are of.
+    # Their flightline follows from id and time.
     again = [[*line.as_pass] for line in survey.flown if line.number != line.psid]
     for source in survey.inputs.sources:
         key, points = str(source.key), source.facts.n_points

@@ -1,7 +1,7 @@
 """Labels that a work unit gives to points of several tiles: Parquet, row groups by tile.
 
 A label names its point by tile and row in the tile's file, so units that are cut
-otherwise than the tiles (ground cells, blocks) need no join to find their points.
+otherwise than the tiles (ground cells) need no join to find their points.
 """
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence

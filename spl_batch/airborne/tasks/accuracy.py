@@ -49,7 +49,7 @@ EVERY: Final = 8
 """Of the kept returns one in so many is compared, by its coordinates [count]."""
 
 _MAP: Final = ("cell", "total", "count")
-"""What a square says of the map of differences."""
+"""Arrays of a square for the map of differences."""
 
 
 def accuracy(args: Mapping[str, Any], context: Context) -> Produced:
@@ -133,7 +133,7 @@ def _as_arrays(product: str, found: Tallies) -> dict[str, NDArray[Any]]:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What the reference says."""
+    """The survey against its reference."""
 
     accuracy: Accuracy
     differences_m: NDArray[np.float32]  #: (n,): every so many-th DTM minus reference by size [m].
@@ -214,7 +214,7 @@ def _looked_at(done: Receipts) -> bool:
 def _squares(
     done: Receipts, context: Context, total: NDArray[np.int64], count: NDArray[np.int64]
 ) -> Iterator[Tallies]:
-    """Errors that each square has found; what it says of the map is added to ``total, count``."""
+    """Errors that each square has found; its part of the map is added to ``total, count``."""
     damaged: DamagedError | None = None
     for square in done.get("accuracy", {}):
         try:

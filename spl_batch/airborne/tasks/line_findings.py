@@ -12,7 +12,7 @@ from spl_batch.engine.tasks.task import Receipt
 
 MERGED: Final = 0.01
 """Share of returns of one time and channel off one beam from which on it is reported; where times
-tell shots apart there is none."""
+separate shots there is none."""
 
 
 def line_findings(line: str, names: Iterable[str], store: Store) -> Iterator[Finding]:

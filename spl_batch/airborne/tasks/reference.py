@@ -47,8 +47,8 @@ def reference(args: Mapping[str, Any], context: Context) -> Produced:
 
     Each chunk that is read is a group of rows of every square that it touches.
 
-    Each square has a margin, whose points do not count but tell what stands nearby: what is
-    said of a point depends neither on the cutting nor on the file that it came in.
+    Each square has a margin, whose points do not count but show what lies nearby: the
+    error of a point depends neither on the cutting nor on the file that it came in.
     """
     path, target = Path(args["path"]), context.store.table("reference", args["file"])
     points, squares = 0, Counter[str]()

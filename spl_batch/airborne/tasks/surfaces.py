@@ -150,7 +150,7 @@ def _classes_columns(workflow: Workflow) -> tuple[str, ...]:
 def _classes(cell: Cell, arrays: Rasters, swaths: Swaths) -> tuple[Path, dict[str, Any], int]:
     """Write the classes of what a cell owns, and look at its noise.
 
-    Of the rasters ``dtm`` is looked at, and ``noise`` is added; ``swaths`` tell where overlap is
+    Of the rasters ``dtm`` is looked at, and ``noise`` is added; ``swaths`` show where overlap is
     flagged. Gives the file of labels, facts for the report, and how many points were labelled.
     """
     workflow, dtm = cell.context.workflow, arrays["dtm"]

@@ -337,7 +337,7 @@ def _write_fired(
     context: Context,
     facts: dict[str, Any],
 ) -> list[Path]:
-    """Write where the beamlets pointed, if it is asked for, and positions and channels tell."""
+    """Write where the beamlets pointed, if asked for, where positions and channels are known."""
     asked = context.workflow.products.intensity == "detection"
     if not asked or args["basis"] not in _POSITIONED or args["beamlets"] < 2:
         return []

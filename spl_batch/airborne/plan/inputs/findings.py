@@ -1,4 +1,4 @@
-"""What phases bring to light about the inputs of an airborne survey, in words."""
+"""Findings on the inputs of an airborne survey, once a phase has read them."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -18,11 +18,11 @@ from spl_batch.formats.gps_clock import CLOCKS
 from spl_batch.formats.las.reader import Numbers
 
 PRF_APART: Final = 0.05
-"""A stated pulse rate may differ by this part from the one that gps_time tells."""
+"""A stated pulse rate may differ by this part from the one that gps_time shows."""
 
 
 def judge_index(survey: Survey, failures: Iterable[Receipt]) -> Iterator[Finding]:
-    """Stop where no input is usable; say which ones have no time."""
+    """Stop where no input is usable; name those without times."""
     usable = survey.of("index_file")
     if not usable or not any(r.points for r in usable.values()):
         reasons = [*merged_faults(survey.inputs.bad), *(r.reason for r in failures)]
@@ -97,7 +97,7 @@ def refuse_empty_area(survey: Survey) -> None:
 
 
 def copies(survey: Survey) -> Iterator[Finding]:
-    """Say which files hold returns twice, and which ones hold returns that others hold too."""
+    """Files that hold returns twice, or returns that others hold too."""
     counts: Counter[tuple[str, str]] = Counter()
     for receipt in survey.of("build_tile").values():
         for copy, kept, count in receipt.facts["copies"]:
@@ -133,10 +133,10 @@ def points_astray(survey: Survey) -> Iterator[Finding]:
 
 
 def _contradicted_rates(survey: Survey) -> Iterator[Finding]:
-    """Say where gps_time tells another pulse rate than the one that is stated."""
-    told = survey.of("index_file")
+    """Flightlines whose gps_time shows another pulse rate than the one that is stated."""
+    indexed = survey.of("index_file")
     for line in survey.flightlines:
-        seen = [told[key].facts["prf_hz"].get(str(line.psid)) for key in line.sources]
+        seen = [indexed[key].facts["prf_hz"].get(str(line.psid)) for key in line.sources]
         far = [hz for hz in seen if hz and abs(hz / line.clock.prf_hz - 1.0) > PRF_APART]
         if line.prf_basis == "given" and far and len(far) == sum(map(bool, seen)):
             values = {
@@ -146,7 +146,7 @@ def _contradicted_rates(survey: Survey) -> Iterator[Finding]:
 
 
 def other_clocks(survey: Survey) -> Iterator[Finding]:
-    """Say which files count their times in another way than those of most points do."""
+    """Files that count their times in another way than those of most points do."""
     points: Counter[str] = Counter()
     files = [r for r in survey.of("index_file").values() if r.facts["standard"] in CLOCKS]
     for receipt in files:
@@ -160,7 +160,7 @@ def other_clocks(survey: Survey) -> Iterator[Finding]:
 
 
 def _flown_twice(survey: Survey) -> Iterator[Finding]:
-    """Say which flightlines begin and end in the same moments, and hold as many returns."""
+    """Flightlines that begin and end in the same moments, and hold as many returns."""
     alike: dict[tuple[float, float, int], list[str]] = {}
     for line in survey.flightlines:
         if line.first_s < line.last_s:

@@ -1,4 +1,4 @@
-"""CRS of a survey and of its heights: the setting's, else what most points say."""
+"""CRS of a survey and of its heights: the setting's, else that of most points."""
 
 from collections import Counter
 from collections.abc import Hashable, Iterable
@@ -142,7 +142,7 @@ def _of_most(found: Iterable[tuple[LasFacts, T | None]]) -> T | None:
 def with_heights(crs: CRS | None, settings: SurveySettings, files: Files) -> CRS | None:
     """The survey's CRS with its vertical one, if there is any; leaves out files of other heights.
 
-    It is that of the setting ``survey.crs``, else what most points say in the unit that most have:
+    It is that of the setting ``survey.crs``, else that of most points in the unit that most have:
     a few files that state metres do not make metres of feet that others leave to their eastings.
     Files that name a datum decide on it for those that state a unit alone.
     """
@@ -216,7 +216,7 @@ def _without_wrong_crs(facts: LasFacts, given: CRS | None) -> LasFacts:
     """Header with the user's CRS, if there is one, for a local or a geocentric one.
 
     A geocentric record over projected coordinates is a mistake of the writer's, and a local one
-    names no place; one in another unit still says so.
+    names no place; one in another unit still states it.
     """
     if given is None or facts.crs is None:
         return facts
