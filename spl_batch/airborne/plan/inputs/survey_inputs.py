@@ -11,6 +11,13 @@ import numpy as np
 from pyproj import CRS
 
 from spl_batch.airborne.context import reprojection, tiles_follow
+from spl_batch.airborne.plan.inputs.companion_files import (
+    CheckpointFile,
+    checked_checkpoints,
+    checked_reference,
+    read_shapes,
+    shape_files,
+)
 from spl_batch.airborne.plan.inputs.file_positions import (
     degrees_as_metres,
     far_positions,
@@ -18,12 +25,6 @@ from spl_batch.airborne.plan.inputs.file_positions import (
     saved_again,
 )
 from spl_batch.airborne.plan.inputs.files import Files
-from spl_batch.airborne.plan.inputs.reference_files import (
-    CheckpointFile,
-    checked_checkpoints,
-    checked_reference,
-)
-from spl_batch.airborne.plan.inputs.shape_files import read_shapes, shape_files
 from spl_batch.airborne.plan.inputs.survey_crs import (
     check_reprojection,
     crs_findings,
