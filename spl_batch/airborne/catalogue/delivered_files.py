@@ -14,7 +14,6 @@ from pyproj.exceptions import ProjError
 
 from spl_batch.airborne.settings import SurveySettings
 from spl_batch.formats.crs import horizontal, same_crs, vertical
-from spl_batch.formats.rasters.parts import opened, place_m
 from spl_batch.formats.units import Units
 
 INDEX: Final = "index.gpkg"
@@ -100,38 +99,15 @@ def _dimension(one: Any) -> tuple[str, int, str]:
 
 
 @dataclass(frozen=True)
-class RasterFile:
-    """A delivered raster."""
-
-    href: str  #: Its path below the output.
-    box: Box  #: Where it lies.
-    shape: tuple[int, int]  #: Rows and columns.
-    cell: float  #: Edge of a cell, in the CRS's unit.
-    cell_m: float
-    meaning: str
-    unit: str
-    crs: CRS | None
-
-
-def read_raster_file(output: Path, href: str) -> RasterFile:
-    """A delivered raster, from its header."""
-    with opened(output / href) as source:
-        bounds, shape, cell = source.bounds, source.shape, float(source.transform.a)
-        *_, cell_m = place_m(source)
-        meaning, unit = source.descriptions[0] or href, source.units[0] or ""
-        crs = CRS.from_wkt(source.crs.to_wkt()) if source.crs else None
-    return RasterFile(href, tuple(bounds), shape, cell, cell_m, meaning, unit, crs)
-
-
-@dataclass(frozen=True)
 class Delivery:
     """Everything that catalogues list."""
 
+    output: Path
     name: str
     survey: SurveySettings  #: Who delivers it, and by what terms.
     crs: CRS
     clouds: Sequence[Cloud]
-    rasters: Sequence[RasterFile]
+    rasters: Sequence[str]  #: Their paths below the output.
     reprojected: Sequence[Cloud]  #: The same clouds in another CRS.
 
     @property
@@ -140,13 +116,13 @@ class Delivery:
         ends = [end for cloud in self.clouds for end in cloud.span_s or ()]
         return (min(ends), max(ends)) if ends else None
 
-    def crs_of(self, made: Cloud | RasterFile) -> CRS:
+    def crs_of(self, own: CRS | None) -> CRS:
         """The CRS of all, but of what lies in another, or is above something else, its own."""
-        if made.crs is None:
+        if own is None:
             return self.crs
-        mine, ours = vertical(made.crs), vertical(self.crs)
+        mine, ours = vertical(own), vertical(self.crs)
         alike = mine is ours if mine is None or ours is None else mine.equals(ours)
-        return self.crs if alike and same_crs(made.crs, self.crs) else made.crs
+        return self.crs if alike and same_crs(own, self.crs) else own
 
 
 def box_deg(box: Box, crs: CRS) -> Box:

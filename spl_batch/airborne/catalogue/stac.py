@@ -18,9 +18,9 @@ from pyproj import CRS
 from spl_batch.airborne.catalogue.delivered_files import (
     STAC,
     VIRTUAL,
+    Box,
     Cloud,
     Delivery,
-    RasterFile,
     Span,
     box_deg,
     outline,
@@ -31,6 +31,7 @@ from spl_batch.constants import ADJUSTED_STANDARD_OFFSET_S
 from spl_batch.errors import plain
 from spl_batch.formats.files.atomic import write_bytes
 from spl_batch.formats.gps_clock import leap_seconds
+from spl_batch.formats.rasters.parts import opened, place_m
 
 GPS_EPOCH: Final = dt.datetime(1980, 1, 6, tzinfo=dt.UTC)
 """Where GPS time begins."""
@@ -66,13 +67,13 @@ def _item_ids(hrefs: Sequence[str]) -> dict[str, str]:
     return names
 
 
-def write_stac(output: Path, delivery: Delivery) -> list[Path]:
+def write_stac(delivery: Delivery) -> list[Path]:
     """Write ``stac/collection.json``, ``stac/items.json``, the items and ``survey.vpc``."""
     clouds = [*delivery.clouds, *delivery.reprojected]
-    ids = _item_ids([one.href for one in clouds] + [one.href for one in delivery.rasters])
+    ids = _item_ids([*(one.href for one in clouds), *delivery.rasters])
     items = [_cloud_item(ids[one.href], one, delivery) for one in clouds]
-    items += [_raster_item(ids[one.href], one, delivery) for one in delivery.rasters]
-    folder = output / STAC
+    items += [_raster_item(ids[href], href, delivery) for href in delivery.rasters]
+    folder = delivery.output / STAC
     written = {folder / f"{item['id']}.json": _text(item) for item in items}
     features = ",\n".join(written.values())
     texts = {
@@ -82,7 +83,7 @@ def write_stac(output: Path, delivery: Delivery) -> list[Path]:
     }
     # One layer shows each point once: clouds in another CRS are left out.
     virtual = [_virtual(*one, delivery.crs) for one in zip(delivery.clouds, items, strict=False)]
-    texts[output / VIRTUAL] = _text({"type": "FeatureCollection", "features": virtual})
+    texts[delivery.output / VIRTUAL] = _text({"type": "FeatureCollection", "features": virtual})
     for path, text in texts.items():
         # Thousands of items, and a receipt that knows their sizes: a disk's time for each is saved.
         write_bytes(path, f"{text}\n".encode(), durable=False)
@@ -171,7 +172,8 @@ def _slug(name: str) -> str:
 def _cloud_item(name: str, cloud: Cloud, delivery: Delivery) -> Record:
     low, high = cloud.bounds[2], cloud.bounds[5]
     kind = COPC_TYPE if cloud.href.endswith(".copc.laz") else LAZ_TYPE
-    item = _item(name, cloud, delivery, cloud.span_s, {"type": kind})
+    made = cloud.href, cloud.box, cloud.crs
+    item = _item(name, made, delivery, cloud.span_s, {"type": kind})
     heights_m = [end * cloud.units.vertical_m for end in (low, high)]
     item["bbox"] = _with_heights(item["bbox"], heights_m)
     item["stac_extensions"].append(POINT_CLOUD)
@@ -190,44 +192,52 @@ def _cloud_item(name: str, cloud: Cloud, delivery: Delivery) -> Record:
     return item
 
 
-def _raster_item(name: str, raster: RasterFile, delivery: Delivery) -> Record:
-    unit = {"unit": raster.unit} if raster.unit else {}
-    asset = {"type": COG_TYPE, "title": raster.meaning, **unit}
-    item = _item(name, raster, delivery, delivery.span_s, asset)
-    west, _, _, north = raster.box
+def _raster_item(name: str, href: str, delivery: Delivery) -> Record:
+    with opened(delivery.output / href) as source:
+        bounds, shape, cell = source.bounds, source.shape, float(source.transform.a)
+        *_, cell_m = place_m(source)
+        meaning, unit = source.descriptions[0] or href, source.units[0] or ""
+        crs = CRS.from_wkt(source.crs.to_wkt()) if source.crs else None
+    asset = {"type": COG_TYPE, "title": meaning, **({"unit": unit} if unit else {})}
+    item = _item(name, (href, tuple(bounds), crs), delivery, delivery.span_s, asset)
     item["properties"] |= {
-        "title": raster.meaning,
-        "gsd": raster.cell_m,
-        "proj:shape": list(raster.shape),
-        "proj:transform": [raster.cell, 0.0, west, 0.0, -raster.cell, north],
+        "title": meaning,
+        "gsd": cell_m,
+        "proj:shape": list(shape),
+        "proj:transform": [cell, 0.0, bounds.left, 0.0, -cell, bounds.top],
     }
     return item
 
 
 def _item(
-    name: str, made: Cloud | RasterFile, delivery: Delivery, span_s: Span | None, asset: Record
+    name: str,
+    made: tuple[str, Box, CRS | None],
+    delivery: Delivery,
+    span_s: Span | None,
+    asset: Record,
 ) -> Record:
-    """What items of clouds and of rasters have in common."""
-    crs = delivery.crs_of(made)
+    """What items of clouds and of rasters have in common; ``made``: path, box and CRS of one."""
+    href, box, own = made
+    crs = delivery.crs_of(own)
     authority, (first, last) = crs.to_authority(), _moments(span_s)
     return {
         "type": "Feature",
         "stac_version": "1.1.0",
         "stac_extensions": [PROJECTION],
         "id": name,
-        "geometry": outline(made.box, crs),
-        "bbox": list(box_deg(made.box, crs)),
+        "geometry": outline(box, crs),
+        "bbox": list(box_deg(box, crs)),
         "properties": {
             "datetime": None,
             "start_datetime": first,
             "end_datetime": last,
             "proj:code": ":".join(authority) if authority else None,
             "proj:wkt2": crs.to_wkt("WKT2_2019"),
-            "proj:geometry": outline(made.box),
-            "proj:bbox": list(made.box),
+            "proj:geometry": outline(box),
+            "proj:bbox": list(box),
         },
         "links": [_link(rel) for rel in ("root", "parent", "collection")],
-        "assets": {"data": {"href": f"../{made.href}", **asset, "roles": ["data"]}},
+        "assets": {"data": {"href": f"../{href}", **asset, "roles": ["data"]}},
         "collection": _slug(delivery.name),
     }
 

@@ -23,8 +23,8 @@ from spl_batch.airborne.lines.patches import (
     find_patches,
     region,
 )
-from spl_batch.airborne.store.label_tables import Cell
 from spl_batch.airborne.store.flown_lines import LINES, SHIFTS, Pass, Shifts, read_shifts
+from spl_batch.airborne.store.label_tables import Cell
 from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.number_format import as_ascii, height

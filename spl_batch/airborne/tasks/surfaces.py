@@ -26,8 +26,7 @@ from spl_batch.airborne.pulses.first_returns import first_returns
 from spl_batch.airborne.pulses.swaths import Swaths
 from spl_batch.airborne.settings import ClassSettings
 from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.airborne.store.label_tables import Cell
-from spl_batch.airborne.store.label_tables import write_labels
+from spl_batch.airborne.store.label_tables import Cell, write_labels
 from spl_batch.airborne.store.raster_cells import write_cell
 from spl_batch.airborne.tasks import pulses
 from spl_batch.constants import (
