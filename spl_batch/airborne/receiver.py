@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
-from spl_batch.airborne.catalogue.delivered_files import (
+from spl_batch.airborne.catalogue import (
     CLIENT_TILES,
     CONTOURS,
     INDEX,

@@ -8,14 +8,14 @@ import numpy as np
 import shapely
 from pyproj import CRS
 
-from spl_batch.airborne.catalogue.delivered_files import (
-    INDEX,
+from spl_batch.airborne.catalogue import INDEX
+from spl_batch.airborne.catalogue.stac import (
     Cloud,
     Delivery,
     leads_to_degrees,
     read_cloud,
+    write_stac,
 )
-from spl_batch.airborne.catalogue.stac import write_stac
 from spl_batch.airborne.settings import SurveySettings
 from spl_batch.errors import plain
 from spl_batch.formats.crs import compound, crs_name, in_unit, same_crs
