@@ -15,7 +15,6 @@ from spl_batch.airborne.catalogue import (
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.lines.comparison import done_sentence, shifts_of
 from spl_batch.airborne.plan.cost import SurveyCost, estimate
-from spl_batch.airborne.plan.grid import require_whole_cells
 from spl_batch.airborne.plan.inputs.findings import (
     beams_without_trajectory,
     copies,
@@ -61,7 +60,6 @@ class Imaging(Receiver[Survey, Context]):
 
     def gather(self, workflow: Workflow, base: Path, output: Path) -> Inputs:
         """Find and check every file of a workflow, from headers alone."""
-        require_whole_cells(workflow)
         return gather_inputs(workflow, base, output)
 
     def cost(self, prepared: Prepared[Survey, Context]) -> SurveyCost:

@@ -19,20 +19,17 @@ LINE: Final = (
 class _Notice(event.Listener):
     """Writes the line when the first kernel is compiled and not loaded."""
 
-    def __init__(self) -> None:
-        self.written = False
+    written = False
 
-    def on_start(self, event: Any) -> None:
+    def on_start(self, _: Any) -> None:
         """A kernel is about to be compiled."""
-        del event
         if not self.written:
             self.written = True
             sys.stderr.write(LINE)
             sys.stderr.flush()
 
-    def on_end(self, event: Any) -> None:
+    def on_end(self, _: Any) -> None:
         """It is compiled."""
-        del event
 
 
 _NOTICE: Final = _Notice()

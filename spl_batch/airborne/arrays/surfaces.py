@@ -18,7 +18,7 @@ from spl_batch.airborne.arrays.compiling import with_notice
 from spl_batch.airborne.arrays.empty_space import empty_space
 from spl_batch.airborne.arrays.labels import Labels
 from spl_batch.airborne.ground.ground_methods import ground_mask
-from spl_batch.airborne.plan.grid import Grid, require_whole_cells
+from spl_batch.airborne.plan.grid import Grid
 from spl_batch.airborne.plan.task_memory import RASTER_BYTES
 from spl_batch.airborne.products import surface_points, surface_rasters
 from spl_batch.airborne.products.cell_values import shape_of
@@ -190,7 +190,6 @@ def rasterize(
         If a setting is unknown or wrong.
     """
     workflow = settings_of(settings, products={"cell_m": cell_m})
-    require_whole_cells(workflow)
     table = _labelled(xyz, labels, water)
     if not len(table):
         raise InputError("xyz", "no point, so there is nothing to make rasters of")

@@ -20,10 +20,8 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.plan.task_memory import halo_m, task_bytes
 from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.plan.worker_memory import usable_bytes
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.errors import WorkflowError
 from spl_batch.lattice.density import Piece
 from spl_batch.lattice.tiles import (
     Bounds,
@@ -239,26 +237,3 @@ def tile_counts(tiles: Mapping[str, Receipt]) -> dict[CellId, int]:
     """Points of each tile that holds some, from the receipts of the built tiles."""
     counts = {parse_cell(name): int(r.facts["points"]) for name, r in tiles.items()}
     return {tile: n for tile, n in sorted(counts.items()) if n}
-
-
-def require_whole_cells(workflow: Workflow) -> None:
-    """Refuse edges that are no whole millimetres, and raster cells that fill no ground cell."""
-    edges = {
-        "tiling.tile_m": workflow.tiling.tile_m,
-        "ground.cell_m": workflow.ground.cell_m,
-        "products.cell_m": workflow.products.cell_m,
-        "noise.voxel_m": workflow.noise.voxel_m,
-    }
-    faults = [
-        f"{key}: {edge:g} is not a whole number of millimetres"
-        + "; outputs.cell gives rasters of whole feet" * (key == "products.cell_m")
-        for key, edge in edges.items()
-        if quanta(edge) < 1 or abs(edge * QUANTA_PER_M - quanta(edge)) > 1e-6
-    ]
-    if not faults and quanta(workflow.ground.cell_m) % quanta(workflow.products.cell_m):
-        faults.append(
-            f"ground.cell_m ({workflow.ground.cell_m:g}) must be a whole multiple of "
-            f"products.cell_m ({workflow.products.cell_m:g})"
-        )
-    if faults:
-        raise WorkflowError("; ".join(faults))
