@@ -75,6 +75,11 @@ def test_a_file_far_from_two_corridors_that_meet_at_a_corner_is_named() -> None:
     assert [(f.code, f.subject, round(f.values["km"])) for f in found] == [("I05", "stray", 28)]
 
 
+def test_files_of_one_point_have_a_distance() -> None:
+    found = far(a=(0, 0, 0, 0), b=(100, 0, 100, 0), c=(50_000, 0, 50_000, 0))
+    assert [(f.subject, f.values["km"]) for f in found] == [("c", pytest.approx(49.9))]
+
+
 def test_a_file_saved_again_by_another_scale_is_named() -> None:
     one = facts("a", (500_000.2, 0.0, 500_150.0, 150.0))
     coarse = replace(one, scales=(0.01, 0.01, 0.01), maxs_m=(500_150.004, 150.0, 50.0))

@@ -156,9 +156,10 @@ def _distant(
     part = shapely.STRtree(parts).query(boxes, "intersects")[1]  # each lies in one of them
     total, files = np.bincount(part, points), np.bincount(part)
     main = max(range(len(parts)), key=lambda k: (total[k], files[k], -int(np.argmax(part == k))))
-    rest, first = shapely.union_all(boxes[part == main]), named(names[part == main].tolist(), 1)
+    rest, first = shapely.STRtree(boxes[part == main]), named(names[part == main].tolist(), 1)
     for other in set(part.tolist()) - {main}:
-        gap_m = float(shapely.distance(boxes[part == other], rest).min())
+        _, gaps_m = rest.query_nearest(boxes[part == other], return_distance=True)
+        gap_m = float(gaps_m.min())
         values = {
             "kind": "far", "km": gap_m / 1000, "main": first, "length_m": math.ceil(longest_m),
         }  # fmt: skip
