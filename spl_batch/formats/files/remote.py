@@ -13,7 +13,7 @@ from typing import Any, cast
 
 from spl_batch.errors import StoppedError, WorkflowError
 
-_OBJECTS = {".json", ".npz", ".parquet"}
+_OBJECTS = {".json", ".npz", ".parquet", ".zip"}
 """Ends of names that are objects, never folders: it takes a request to find out."""
 
 
