@@ -47,18 +47,17 @@ def denoise(survey: Survey) -> Iterator[Task]:
     voxel_q = quanta(survey.workflow.noise.voxel_m)
     stretch_of: dict[str, str] = {}
     voxels: dict[str, Sequence[int]] = {}
-    layers: dict[str, Sequence[int]] = {}
     for stretch, receipt in survey.of("scatter").items():
         boxes = receipt.facts.get("voxels", {})
-        voxels |= {name: (*box[:2], *box[3:5]) for name, box in boxes.items()}
-        layers |= {name: (box[2], box[5]) for name, box in boxes.items()}
+        voxels |= boxes
         stretch_of |= dict.fromkeys(boxes, stretch)
-    index = index_of_boxes(voxels, voxel_q)
+    flat = {name: (*box[:2], *box[3:5]) for name, box in voxels.items()}
+    index = index_of_boxes(flat, voxel_q)
     # what a density depends on, whatever the halo of the points
     margin = survey.halo_q + MARGIN_VOXELS * voxel_q
     for cell in survey.denoise_grid.units(survey.counts, survey.tile_q, survey.halo_q):
         parts = index.overlapping(grow(cell.core, margin))
-        shares = [(part, *layers[part]) for part in parts]
+        shares = [(part, voxels[part][2], voxels[part][5]) for part in parts]
         args = {"halo": survey.halo_q, "voxels": shares, "beamlets": survey.beamlets}
         needs = [("scatter", s) for s in dict.fromkeys(map(stretch_of.__getitem__, parts))]
         yield _cell_task("denoise", cell, survey, args, (), needs)
