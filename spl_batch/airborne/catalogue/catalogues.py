@@ -96,9 +96,9 @@ def write_catalogues(
 def _why_without_places(crs: CRS | None, held: Sequence[Cloud], rasters: Sequence[str]) -> str:
     """Why nothing can be listed by its place on earth; empty if it can."""
     if crs is None:
-        return "without a CRS nothing tells where on earth the survey lies"
+        return "without a CRS nothing shows where on earth the survey lies"
     if not leads_to_degrees(crs):
-        return f"the CRS {crs_name(crs)} does not tell where on earth the survey lies"
+        return f"the CRS {crs_name(crs)} does not show where on earth the survey lies"
     if not held and not rasters:
         return "no delivered cloud holds a point, and there is no raster"
     return ""

@@ -258,7 +258,7 @@ def _proposal(
     if not look.timed and not kept:
         raise InputError(
             str(path),
-            "its first and last points have no usable gps_time, so there are no shots to tell "
+            "its first and last points have no usable gps_time, so there are no shots to find "
             "noise by; give the file its times, or use spl_batch.filter_points of Python, which "
             "measures noise where the cloud is empty; of linear-mode lidar, which has none, "
             f"`--ground --set {KEEP_ALL}` keeps every point and finds the ground",

@@ -41,7 +41,7 @@ MAP_CELLS = 500
 """Cells of the map of differences along its longer side, at most [count]."""
 
 NEXT_TO: Final = 0.1
-"""Part of the larger of two horizontal differences below which the smaller is not told."""
+"""Part of the larger of two horizontal differences below which the smaller is not reported."""
 
 
 def strip_patches(args: Mapping[str, Any], context: Context) -> Produced:

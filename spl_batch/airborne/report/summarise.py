@@ -1,4 +1,4 @@
-"""Stage ``report``: what all receipts say together, as one report with its pictures."""
+"""Stage ``report``: what all receipts hold together, as one report with its pictures."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
