@@ -71,7 +71,7 @@ def is_timeless(receipt: Receipt, workflow: Workflow) -> bool:
         return False
     if not facts["spans"]:
         return True
-    # More points of one time than a shot may have have none to speak of.
+    # What more points share than a shot may have is no time.
     a_shot = workflow.sensor.beamlets * 8 if workflow.survey.channel_dimension else 64
     spans = [span for spans in facts["spans"].values() for span in spans]
     return all(first == last and points > a_shot for first, last, points in spans)
