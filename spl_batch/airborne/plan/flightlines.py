@@ -71,14 +71,10 @@ def is_timeless(receipt: Receipt, workflow: Workflow) -> bool:
         return False
     if not facts["spans"]:
         return True
-    a_shot = points_of_a_shot(workflow)
+    # What more points share than a shot may have is no time.
+    a_shot = workflow.sensor.beamlets * 8 if workflow.survey.channel_dimension else 64
     spans = [span for spans in facts["spans"].values() for span in spans]
     return all(first == last and points > a_shot for first, last, points in spans)
-
-
-def points_of_a_shot(workflow: Workflow) -> int:
-    """Points that one shot may have: more than these of one time have none to speak of [count]."""
-    return workflow.sensor.beamlets * 8 if workflow.survey.channel_dimension else 64
 
 
 def find_flightlines(receipts: Mapping[str, Receipt], workflow: Workflow) -> list[Flightline]:

@@ -128,7 +128,7 @@ def _unit(
 ) -> Unit:
     """A cell that owns a core, with what it reads; parameters as of :meth:`Grid.units`."""
     reach = grow(core, margin)
-    near = _occupied(counts, reach, tile_q)
+    near = [tile for tile in cells_touching(reach, tile_q) if tile in counts]
     owned = held = 0.0
     for tile in near:
         bounds = cell_bounds(tile, tile_q)
@@ -136,16 +136,6 @@ def _unit(
         owned += counts[tile] if overlap(bounds, core) else 0
     # shares of tiles add up to whole points, but for the last bit of a sum
     return Unit(cell, core, tuple(near), int(owned), math.ceil(round(held, 6)))
-
-
-def _occupied(counts: Mapping[CellId, int], region: Bounds, tile_q: int) -> list[CellId]:
-    """Tiles with points that share area with a region, row by row."""
-    columns = -(-region.xmax // tile_q) - region.xmin // tile_q
-    rows = -(-region.ymax // tile_q) - region.ymin // tile_q
-    if columns * rows <= len(counts):
-        return [t for t in cells_touching(region, tile_q) if t in counts]
-    found = (t for t in counts if overlap(cell_bounds(t, tile_q), region))
-    return sorted(found, key=lambda t: (t.j, t.i))
 
 
 def _axis(first: int, past: int, edge: int, strip: int) -> tuple[int, int, int, int]:

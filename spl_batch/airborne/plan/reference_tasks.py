@@ -15,7 +15,7 @@ from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.plan.input_files import source_key
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.task import Task
-from spl_batch.lattice.tiles import CellId, cell_bounds, overlap, parse_cell, quanta
+from spl_batch.lattice.tiles import cell_bounds, overlap, parse_cell, quanta
 
 MARGIN_CELLS: Final = 2
 """Raster cells whose tops show whether their neighbour is a roof's edge [count]."""
@@ -58,7 +58,8 @@ def accuracy(survey: Survey) -> Iterator[Task]:
     rasters = [name for name in COMPARED if name in made]
     edge, _ = _lattice(survey)
     for square in sorted(files):
-        tiles = _tiles_of(survey, square, edge)
+        within = cell_bounds(parse_cell(square), edge)
+        tiles = [t for t in survey.counts if overlap(cell_bounds(t, survey.tile_q), within)]
         args = {
             "square": square,
             "edge": edge,
@@ -73,13 +74,6 @@ def accuracy(survey: Survey) -> Iterator[Task]:
         )
         refused = refusal("accuracy", points[square], survey.memory_bytes)
         yield Task("accuracy", square, args, needs, points[square], refused)
-
-
-def _tiles_of(survey: Survey, square: str, edge: int) -> list[CellId]:
-    """Tiles of the survey that reach into a square."""
-    within = cell_bounds(parse_cell(square), edge)
-    tiles = survey.counts
-    return [t for t in sorted(tiles) if overlap(cell_bounds(t, survey.tile_q), within)]
 
 
 def checkpoints(survey: Survey) -> Iterator[Task]:

@@ -19,7 +19,7 @@ from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.task import Need, Task
 
 FEW_POINTS: Final = 0.001
-"""Share of the points of the largest flightline up to which the times of another may be wrong."""
+"""Share of all points up to which the times of a flightline may be wrong ones."""
 
 
 def trajectory_file(survey: Survey) -> Iterator[Task]:
@@ -90,8 +90,9 @@ def _time_of_most(lines: Sequence[Flightline]) -> list[float]:
     A few wrong times are no time of the survey's, and would leave open in which week a trajectory
     was flown.
     """
-    largest = max(line.points for line in lines)
-    most = [line for line in lines if line.points > FEW_POINTS * largest]
+    points = [line.points for line in lines]
+    few = min(FEW_POINTS * sum(points), max(points) / 2)  # of thousands none has that share
+    most = [line for line in lines if line.points > few]
     return [min(line.first_s for line in most), max(line.last_s for line in most)]
 
 

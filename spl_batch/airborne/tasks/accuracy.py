@@ -159,7 +159,9 @@ def compared(done: Receipts, context: Context) -> Comparison | None:
     mean = np.full(len(total), NODATA)
     np.divide(total, count * STEPS_PER_M, out=mean, where=count > 0)
     values = mean.reshape(grid.rows, grid.columns).astype(np.float32)
-    share = _own_share(done)
+    looked = [receipt.facts["own"] for receipt in done.get("accuracy", {}).values()]
+    asked, own = np.sum([(0, 0), *looked], axis=0).tolist()
+    share = own / asked if asked else None
     accuracy = accuracy_report(
         *by_product,
         remove_bias=settings.remove_bias,
@@ -172,13 +174,6 @@ def compared(done: Receipts, context: Context) -> Comparison | None:
         RasterPart(values, grid.left_m, grid.top_m, grid.cell_m),
         share,
     )
-
-
-def _own_share(done: Receipts) -> float | None:
-    """Share of the reference's points that are the survey's own; None where none was looked at."""
-    looked = [receipt.facts.get("own", (0, 0)) for receipt in done.get("accuracy", {}).values()]
-    asked, own = (sum(one[k] for one in looked) for k in (0, 1))
-    return own / asked if asked else None
 
 
 def own_points(share: float | None) -> Iterator[Finding]:

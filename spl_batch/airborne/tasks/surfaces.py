@@ -167,10 +167,10 @@ def _classes(cell: Cell, arrays: Rasters, swaths: Swaths) -> tuple[Path, dict[st
     labels = {"classification": classification}
     if workflow.classes.flags:
         labels["set_flags"] = _flags(mine, classification, workflow.classes, swaths)
-    facts, noise_m3 = {}, _median(arrays["noise"])
-    if noise_m3 is not None:
+    facts, noise = {}, arrays["noise"][arrays["noise"] > NODATA]
+    if noise.size:
         highest = air_fill.highest_ground(dtm)
-        air = air_fill.filled_blocks(mine, cell.core, highest, noise_m3)
+        air = air_fill.filled_blocks(mine, cell.core, highest, float(np.median(noise)))
         facts = {} if air is None else air_fill.fill_facts(air, cell.core)
     path = cell.context.store.table("surface", cell.args["cell"])
     write_labels(path, origin.of(owned), labels)
@@ -187,12 +187,6 @@ def _noise(table: PointTable, core: Bounds, size: int) -> NDArray[np.float32]:
     count = np.bincount(cell, minlength=shape[0] * shape[1])
     mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
     return north_up(mean.reshape(shape))
-
-
-def _median(noise: NDArray[np.float32]) -> float | None:
-    """Expected noise of a cell [1/m3]; None where there is none."""
-    known = noise[noise > NODATA]
-    return float(np.median(known)) if known.any() else None
 
 
 def _floor(cell: Cell) -> Floor:
