@@ -57,7 +57,7 @@ def tallest_strip(height: RasterPart) -> Bounds:
     """Covered strip with the largest sum of heights above ground; the first of equals.
 
     Heights count in full where the strip also shows :data:`_GROUND_SHARE` of ground: under a closed
-    canopy there is hardly any, and a profile of leaves alone tells nothing of the terrain. A cell
+    canopy there is hardly any, and a profile of leaves alone shows nothing of the terrain. A cell
     with a surface counts for a metre besides: a picture shows no empty place.
     """
     known = height.values > NODATA
