@@ -19,7 +19,7 @@ _BLOCK = 1 << 14
 _DIGIT = 16
 
 _NEAR = 34
-"""Floats whose bits differ in so many places at most need no ranks: times within minutes do."""
+"""Floats whose bits differ in so many positions at most need no ranks: times within minutes do."""
 
 
 def lexicographic_order(keys: Sequence[NDArray[Any]]) -> NDArray[np.intp]:
@@ -167,7 +167,7 @@ def _ranks(key: NDArray[Any]) -> NDArray[np.uint64]:
 def _ordered_bits(key: NDArray[Any]) -> NDArray[np.int64]:
     """Whole numbers in the order of some floats, none of them NaN: (n,) int64.
 
-    The bits of positive ones are in that order already [IEEE 754]; 0.0 stands for -0.0.
+    The bits of positive ones are in that order already [IEEE 754]; -0.0 counts as 0.0.
     """
     bits = (key.astype(np.float64) + 0.0).view(np.int64)
     bits ^= (bits >> np.int64(63)) & np.int64(np.iinfo(np.int64).max)

@@ -106,7 +106,7 @@ def test_pieces_far_apart_are_counted_apart() -> None:
 def test_a_header_that_spans_the_world_takes_coarse_squares(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(density, "MAX_SQUARES", 100)
+    monkeypatch.setattr(density, "MAX_CELLS", 100)
     wide = [Box(Bounds(0, 0, 40 * EDGE, 40 * EDGE), 1600), Box(Bounds(0, 0, 400, 400), 800)]
     (piece,) = from_boxes(wide, EDGE)
     assert piece.edge == 4 * EDGE
