@@ -15,7 +15,7 @@ ROOM = 1 << 16
 """Numbers that span no more than this are counted, however few they are [count]."""
 
 _WORD = 64
-_BLOCK = 1 << 14
+_PART = 1 << 14
 _DIGIT = 16
 
 _NEAR = 34
@@ -101,10 +101,10 @@ def in_order(keys: Sequence[NDArray[Any]]) -> bool:
     """
     n = len(keys[0])
     # Rows in no order show it early.
-    return all(_block_in_order([k[a : a + _BLOCK + 1] for k in keys]) for a in range(0, n, _BLOCK))
+    return all(_part_in_order([k[a : a + _PART + 1] for k in keys]) for a in range(0, n, _PART))
 
 
-def _block_in_order(keys: Sequence[NDArray[Any]]) -> bool:
+def _part_in_order(keys: Sequence[NDArray[Any]]) -> bool:
     tied = np.ones(max(len(keys[0]) - 1, 0), np.bool_)
     for key in keys:
         before, after = key[:-1], key[1:]

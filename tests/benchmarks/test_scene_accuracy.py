@@ -14,7 +14,7 @@ from spl_batch.geiger.coincidence.simulate import (
 
 
 @pytest.mark.parametrize(
-    ("place", "distance"),
+    ("point", "distance"),
     [
         ((4.0, 0.1, 2.3), 0.3),
         ((4.0, -0.1, 2.0), 0.1),
@@ -25,9 +25,9 @@ from spl_batch.geiger.coincidence.simulate import (
         ((10.0, 10.0, -0.2), 0.2),
     ],
 )
-def test_distances_from_surfaces(place: tuple[float, ...], distance: float) -> None:
+def test_distances_from_surfaces(point: tuple[float, ...], distance: float) -> None:
     scene = build(SceneSettings(targets=("spokes", "cube", "foliage")))
-    assert accuracy.distance_m(np.array([place]), scene) == pytest.approx(distance, abs=0.06)
+    assert accuracy.distance_m(np.array([point]), scene) == pytest.approx(distance, abs=0.06)
     assert accuracy.distance_m(scene.leaves[:50, :3], scene).max() == 0
 
 
