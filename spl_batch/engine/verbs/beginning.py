@@ -101,8 +101,8 @@ def headed(page: str) -> Beginning:
     """Begin a file, with the name of the page that explains its keys."""
     return Beginning(
         [
-            "# Written by `spl-batch init` from what the files tell. A `?` marks what they do not",
-            "# tell: look at these lines first. The keys that are not here are explained in",
+            "# Written by `spl-batch init` from what the files state. A `?` marks what they do not",
+            "# state: look at these lines first. The keys that are not here are explained in",
             f"# docs/{page}.md.",
             "#",
             "#   spl-batch plan workflow.yaml    what a run costs, what is wrong with the inputs",
