@@ -34,7 +34,7 @@ class Page:
         self._send, self._receive = send, receive
         self._number, self._rest = 0, b""
         self._session: str | None = None
-        self.said: list[str] = []
+        self.reported: list[str] = []
         (target,) = [
             t["targetId"]
             for t in self._ask("Target.getTargets")["targetInfos"]
@@ -51,7 +51,7 @@ class Page:
         """Open a file and wait until it is laid out."""
         self._ask("Emulation.setDeviceMetricsOverride", width=width, height=height,
                   deviceScaleFactor=1, mobile=False)  # fmt: skip
-        self.said.clear()
+        self.reported.clear()
         self._ask("Page.navigate", url=path.resolve().as_uri())
         self.ask("new Promise(done => document.readyState == 'complete' ? done() : "
                  "addEventListener('load', done))")  # fmt: skip
@@ -86,7 +86,7 @@ class Page:
         path.write_bytes(base64.b64decode(self._ask("Page.captureScreenshot")["data"]))
 
     def accessible(self) -> list[dict[str, Any]]:
-        """What a screen reader is told of, in the order in which it is read."""
+        """What a screen reader reads, in the order in which it is read."""
         nodes: list[dict[str, Any]] = self._ask("Accessibility.getFullAXTree")["nodes"]
         known = {node["nodeId"]: node for node in nodes}
         waiting, read = [nodes[0]], []
@@ -113,9 +113,9 @@ class Page:
                 found: dict[str, Any] = answer["result"]
                 return found
             if answer.get("method") in {"Log.entryAdded", "Runtime.exceptionThrown"}:
-                self.said.append(json.dumps(answer["params"]))
+                self.reported.append(json.dumps(answer["params"]))
             if answer.get("method") == "Network.requestWillBeSent":
-                self.said.append(answer["params"]["request"]["url"][:200])
+                self.reported.append(answer["params"]["request"]["url"][:200])
 
     def _next(self) -> dict[str, Any]:
         while b"\0" not in self._rest:

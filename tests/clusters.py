@@ -94,20 +94,20 @@ class Cluster:
             **{k: v for k, v in os.environ.items() if not k.startswith(("LC_", "LANG"))},
             "PYTHONPATH": str(ROOT),
             faulty_worker.VARIABLE: str(self.plan.path),
-            # A bare C locale: text files must not be read as the locale says.
+            # A bare C locale: text files must not be read by the locale.
             "LC_ALL": "C",
             "PYTHONUTF8": "0",
             "PYTHONCOERCECLOCALE": "0",
             "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1",
         }
         line = [str(DASK), command, "--scheduler-file", str(self.folder / "scheduler.json")]
-        with (folder / "said.txt").open("wb") as said:
+        with (folder / "said.txt").open("wb") as output:
             process = subprocess.Popen(  # noqa: S603
                 [*line, "--no-dashboard", *options],
                 cwd=folder,
                 env=environment,
-                stdout=said,
-                stderr=said,
+                stdout=output,
+                stderr=output,
                 start_new_session=True,
             )
         self.processes.append(process)

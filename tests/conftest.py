@@ -15,7 +15,7 @@ from spl_batch.engine.report.picture import Picture
 from tests import surveys
 from tests.report_data import drawn_png, empty_pictures
 
-# A machine that does other work as well is slow to draw examples, which says nothing of the code.
+# A machine that does other work as well is slow to draw examples, whatever the code.
 settings.register_profile("busy", suppress_health_check=[HealthCheck.too_slow], deadline=None)
 settings.load_profile("busy")
 

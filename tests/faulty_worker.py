@@ -1,6 +1,6 @@
-"""Preloaded by workers of tests: tasks misbehave as a plan file says.
+"""Preloaded by workers of tests: tasks misbehave as a plan file states.
 
-The plan is a list of faults, each with the kind of task, the name of its place (or none for
+The plan is a list of faults, each with the kind of task, the name of its cell (or none for
 any), what happens (raise, kill, eat, wait) and how often. Each worker notes what it was
 given to do in a file beside the plan.
 """
@@ -37,15 +37,15 @@ def dask_setup(_worker: object) -> None:
     }
 
 
-def place(args: Mapping[str, Any]) -> str:
-    """Name of the task, as its arguments tell."""
+def name_of(args: Mapping[str, Any]) -> str:
+    """Name of the task, as its arguments have it."""
     keys = ("block", "cell", "tile", "stretch", "source", "name", "line")
     return next((str(args[key]) for key in keys if key in args), "")
 
 
 def _faulty(step: Step, plan: Path) -> Callable[[Mapping[str, Any], Context], Produced]:
     def perhaps(args: Mapping[str, Any], context: Context) -> Produced:
-        name = place(args)
+        name = name_of(args)
         with (plan.parent / "tries.jsonl").open("a") as stream:
             stream.write(json.dumps({"kind": step.name, "name": name, "pid": os.getpid()}) + "\n")
         for number, fault in enumerate(json.loads(plan.read_text())):
@@ -58,7 +58,7 @@ def _faulty(step: Step, plan: Path) -> Callable[[Mapping[str, Any], Context], Pr
 
 
 def _misbehave(fault: Mapping[str, Any], tally: Path) -> None:
-    """Do what the fault says, unless it has been done often enough."""
+    """Do what the fault asks, unless it has been done often enough."""
     with tally.open("ab+") as stream:
         stream.write(b".")
         stream.flush()

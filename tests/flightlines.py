@@ -61,7 +61,7 @@ def fly(
     "surface" opens it ``gate_ahead_m`` in front of the surface under each shot.
     """
     rng = np.random.default_rng(seed)
-    ahead = gate_m / 2 if gate_ahead_m is None else gate_ahead_m
+    lead_m = gate_m / 2 if gate_ahead_m is None else gate_ahead_m
     gains = np.ones(100) if gains is None else gains
     shot = np.arange(first_shot, first_shot + shots)
     time = CLOCK.t0_s + shot / CLOCK.prf_hz
@@ -77,14 +77,14 @@ def fly(
     cosine = -direction[..., 2]
     hit = (ALTITUDE_M - 40.0) / cosine
     for _ in range(20):
-        place = sensor[:, None] + direction * hit[..., None]
-        hit += (place[..., 2] - surface(place[..., 0], place[..., 1])) / cosine
-    near, far = _gate(gate_kind, hit, cosine, ahead, gate_m)
+        xyz = sensor[:, None] + direction * hit[..., None]
+        hit += (xyz[..., 2] - surface(xyz[..., 0], xyz[..., 1])) / cosine
+    near, far = _gate(gate_kind, hit, cosine, lead_m, gate_m)
     rate = noise_per_m(shot) if callable(noise_per_m) else np.full(shots, noise_per_m)
     expected = rate[:, None] * gains * (far - near)
     if albedo is not None:
-        place = sensor[:, None] + direction * hit[..., None]
-        expected = expected * albedo(place[..., 0], place[..., 1])
+        xyz = sensor[:, None] + direction * hit[..., None]
+        expected = expected * albedo(xyz[..., 0], xyz[..., 1])
     count = rng.poisson(expected)
     s_noise, c_noise = (np.repeat(v.ravel(), count.ravel()) for v in np.indices(count.shape))
     r_noise = rng.uniform(near[s_noise, c_noise], far[s_noise, c_noise])
@@ -113,14 +113,14 @@ def _gate(
     kind: str,
     hit: NDArray[np.float64],
     cosine: NDArray[np.float64],
-    ahead: float,
+    lead_m: float,
     gate_m: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     if kind == "height":
-        top = ALTITUDE_M - 40.0 - ahead
+        top = ALTITUDE_M - 40.0 - lead_m
         return top / cosine, (top + gate_m) / cosine
     middle = hit.mean(axis=1, keepdims=True) if kind == "surface" else np.median(hit)
-    near = np.broadcast_to(middle - ahead, hit.shape)
+    near = np.broadcast_to(middle - lead_m, hit.shape)
     return near, near + gate_m
 
 

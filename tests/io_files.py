@@ -92,7 +92,7 @@ def wkt_record(crs: str, user: str = "LASF_Projection") -> laspy.VLR:
 
 
 def with_record(content: bytes, user: bytes, number: int, data: bytes) -> bytes:
-    """A file with one more record behind the others; places that the header tells move on."""
+    """A file with one more record behind the others; offsets that the header tells move on."""
     record = struct.pack("<H16sHH32s", 0, user, number, len(data), b"") + data
     made, start = bytearray(content), struct.unpack_from("<I", content, 96)[0]
     struct.pack_into("<II", made, 96, start + len(record), content[100] + 1)
@@ -103,9 +103,9 @@ def with_record(content: bytes, user: bytes, number: int, data: bytes) -> bytes:
     return bytes(made)
 
 
-def patch(path: Path, place: int, code: str, *values: Any) -> Path:
+def patch(path: Path, offset: int, code: str, *values: Any) -> Path:
     """Overwrite bytes of a file."""
     content = bytearray(path.read_bytes())
-    struct.pack_into(f"<{code}", content, place, *values)
+    struct.pack_into(f"<{code}", content, offset, *values)
     path.write_bytes(content)
     return path

@@ -69,11 +69,11 @@ def flightline(
         above = rng.normal(0, 0.03, shape) if kind == "ground" else rng.uniform(-25, 25, shape)
         height = (ground + above)[seen]
         away = ((height - ground[seen]) / (HEIGHT_M - ground[seen]))[:, None]
-        place = foot[seen] + away * (np.repeat(sensor[:, None], 25, 1)[seen] - foot[seen])
+        hit = foot[seen] + away * (np.repeat(sensor[:, None], 25, 1)[seen] - foot[seen])
         parts.append(
             {
-                "x": place[:, 0],
-                "y": place[:, 1],
+                "x": hit[:, 0],
+                "y": hit[:, 1],
                 "z": height,
                 "gps_time": np.broadcast_to(time[:, None], shape)[seen],
                 "channel": np.broadcast_to(np.arange(1, 26), shape)[seen].astype(np.uint8),
@@ -215,7 +215,7 @@ class Ended(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Everything that it said."""
+        """Everything that it printed."""
         return self.out + self.err
 
 
@@ -263,7 +263,7 @@ def labels(output: Path) -> dict[str, Columns]:
 
 
 def rasters(output: Path) -> dict[str, tuple[bytes, Any]]:
-    """Cells and place of each delivered raster."""
+    """Cells and transform of each delivered raster."""
     found = {}
     for path in sorted(output.glob("*.tif")):
         with rasterio.open(path) as source:
@@ -318,12 +318,12 @@ def wait_for(stream: io.TextIOWrapper) -> None:
         time.sleep(0.02)
 
 
-def made_once(places: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
+def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
     """A folder for all processes of pytest-xdist, into which nobody may write.
 
     Parameters
     ----------
-    places : pytest.TempPathFactory
+    factory : pytest.TempPathFactory
         Knows the folder of this run of the tests.
     name : str
         Of the folder.
@@ -331,11 +331,11 @@ def made_once(places: pytest.TempPathFactory, name: str, make: Callable[[Path], 
         Fills it. The first process that asks calls it, others wait meanwhile; where it fails, the
         next one that asks tries again.
     """
-    place = places.getbasetemp()
+    base = factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
-        place = place.parent
-    folder, done = place / name, place / f"{name}.done"
-    with (place / f"{name}.lock").open("w") as held:
+        base = base.parent
+    folder, done = base / name, base / f"{name}.done"
+    with (base / f"{name}.lock").open("w") as held:
         wait_for(held)
         if not done.exists():
             shutil.rmtree(folder, ignore_errors=True)

@@ -1,4 +1,4 @@
-"""Pages for people say what is true: their code runs, their commands exist, messages are ours."""
+"""Pages for people are true: their code runs, their commands exist, messages are ours."""
 
 import re
 import shlex
@@ -46,9 +46,9 @@ def test_the_code_of_the_page_on_arrays_runs(
     for block in first:
         exec(compile(block, "arrays.md", "exec"), names)  # noqa: S102 - it is our own page
     assert names["labels"].basis == names["noise"].basis == "cloud"
-    told = re.search(r"# (\d\.\d+): 3 000 points", first[-1])
-    assert told
-    assert float(np.median(names["noise"].density)) == pytest.approx(float(told[1]), abs=5e-4)
+    printed = re.search(r"# (\d\.\d+): 3 000 points", first[-1])
+    assert printed
+    assert float(np.median(names["noise"].density)) == pytest.approx(float(printed[1]), abs=5e-4)
     exec(compile(beams, "arrays.md", "exec"), names)  # noqa: S102
     found = names["noise"]
     assert found.basis == "intersection"

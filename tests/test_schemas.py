@@ -1,4 +1,4 @@
-"""The committed schemas are what the models say, and say what the loader accepts."""
+"""The committed schemas are those of the models, and describe what the loader accepts."""
 
 import json
 from functools import cache
@@ -25,7 +25,7 @@ def test_the_committed_schemas_are_not_stale() -> None:
 
 
 def committed(name: str) -> dict[str, Any]:
-    """A schema; the first test compares it with what the models say."""
+    """A schema; the first test compares it with the models."""
     schema: dict[str, Any] = json.loads((FOLDER / name).read_text(encoding="utf-8"))
     return schema
 
@@ -46,7 +46,7 @@ def _leaves(schema: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
 def test_each_field_is_described(name: str) -> None:
     for key, field in _leaves(committed(name)):
         is_section = "$ref" in json.dumps(field) or key == "schema_version"
-        assert "description" in field or is_section, f"{name}: {key} says nothing about itself"
+        assert "description" in field or is_section, f"{name}: {key} has no description"
 
 
 @pytest.mark.parametrize(

@@ -69,5 +69,5 @@ def test_the_site_searches_from_files_without_a_network(
         page.press("ArrowDown")  # the theme looks at the field when a key is let go
         found = page.ask(FOUND)
         assert any("reference.html?h=filter_points" in link for link in found), found
-        elsewhere = [said for said in page.said if not said.startswith(("file://", "data:"))]
+        elsewhere = [url for url in page.reported if not url.startswith(("file://", "data:"))]
         assert elsewhere == []

@@ -15,14 +15,14 @@ def blocks(page: Path, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
 
 
-def keys(model: type[BaseModel], place: str = "") -> list[str]:
+def keys(model: type[BaseModel], prefix: str = "") -> list[str]:
     """Path of every key of a workflow or scene, sections and values."""
     found = []
     for name, field in model.model_fields.items():
-        found.append(place + name)
+        found.append(prefix + name)
         for kind in (field.annotation, *getattr(field.annotation, "__args__", ())):
             if isinstance(kind, type) and issubclass(kind, Section):
-                found += keys(kind, f"{place}{name}.")
+                found += keys(kind, f"{prefix}{name}.")
     return found
 
 
@@ -35,12 +35,12 @@ def unshown(text: str, model: type[BaseModel]) -> list[str]:
     ]
 
 
-def differing(given: Any, default: Any, place: str = "") -> list[str]:
+def differing(given: Any, default: Any, prefix: str = "") -> list[str]:
     """Values of a file that are not the default, where there is one."""
     if not isinstance(given, dict):
-        return [] if given == default else [place]
+        return [] if given == default else [prefix]
     return [
         line
         for key, value in given.items()
-        for line in differing(value, (default or {}).get(key), f"{place}.{key}".lstrip("."))
+        for line in differing(value, (default or {}).get(key), f"{prefix}.{key}".lstrip("."))
     ]

@@ -135,7 +135,7 @@ def noise_ratios(track: Labelled, found: Found) -> tuple[float, float]:
 
 
 def over_land(track: Labelled, along: NDArray[np.int64]) -> Mask:
-    """Places within reach of a photon of land, (n,) bool."""
+    """Points within reach of a photon of land, (n,) bool."""
     land = np.sort(track.photons[0][track.label == LAND])
     reach = round(LAND_M * QUANTA_PER_M)
     near: Mask = np.searchsorted(land, along - reach) < np.searchsorted(land, along + reach)
@@ -181,9 +181,9 @@ def reference(
         land = theirs[f"{beam}/land_segments"]
         height = land["terrain/h_te_best_fit_20m"][()].astype(np.float64)
         number = land["segment_id_beg"][()][:, None] + np.arange(height.shape[1])
-        place = file[f"{beam}/geolocation"]
-        known = place["segment_id"][()].astype(np.int64)
-        start = place["segment_dist_x"][()] + place["segment_length"][()] / 2.0
+        segments = file[f"{beam}/geolocation"]
+        known = segments["segment_id"][()].astype(np.int64)
+        start = segments["segment_dist_x"][()] + segments["segment_length"][()] / 2.0
     inside = np.isin(number, known) & (np.abs(height) < 1e5)
     return start[np.searchsorted(known, number[inside])], height[inside]
 

@@ -138,7 +138,7 @@ def yapc(along_m: NDArray[np.float64], height_m: NDArray[np.float64]) -> NDArray
 
 
 def histogram(along_m: NDArray[np.float64], height_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Photons of boxes that stand out of their column, (n,) bool."""
+    """Photons of boxes that stick out of their column, (n,) bool."""
     column, box = (
         np.floor(v / m).astype(np.int64) for v, m in zip((along_m, height_m), BOX_M, strict=True)
     )

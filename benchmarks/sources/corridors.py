@@ -92,8 +92,8 @@ def lines(survey: Path) -> list[tuple[str, list[Span]]]:
 
 def _strand(row: NDArray[np.float64], tower: NDArray[np.float64]) -> NDArray[np.float64]:
     east, north = row[:2] - tower
-    aside = east * row[3] - north * row[2]
-    return np.array([aside, *row[5:8]])
+    across = east * row[3] - north * row[2]
+    return np.array([across, *row[5:8]])
 
 
 def _span(
@@ -111,10 +111,10 @@ def inside(span: Span, points: Columns) -> NDArray[np.bool_]:
     """Which points lie in the region around a span: (n,) bool."""
     east, north = points["x"] - span.start_m[0], points["y"] - span.start_m[1]
     s = east * span.along[0] + north * span.along[1]
-    aside = east * span.along[1] - north * span.along[0]
+    across = east * span.along[1] - north * span.along[0]
     out: NDArray[np.bool_] = (s >= 0) & (s < span.length_m)
     middle = 0.5 * (span.strands[:, 0].min() + span.strands[:, 0].max())
-    out &= np.abs(aside - middle) <= REGION_M / 2
+    out &= np.abs(across - middle) <= REGION_M / 2
     rows = np.flatnonzero(out)
     a, vertex, offset = (span.strands[:, k, None] for k in (1, 2, 3))
     heights = offset + a * np.cosh((s[rows] - vertex) / a)
@@ -131,12 +131,12 @@ def distance_m(span: Span, points: Columns) -> NDArray[np.float64]:
     """
     east, north = points["x"] - span.start_m[0], points["y"] - span.start_m[1]
     s = east * span.along[0] + north * span.along[1]
-    aside = east * span.along[1] - north * span.along[0]
+    across = east * span.along[1] - north * span.along[0]
     out = np.full(len(s), np.inf)
     rows = np.flatnonzero((s >= 0) & (s < span.length_m))
     for offset_m, a, vertex, low in span.strands:
         height = low + a * np.cosh((s[rows] - vertex) / a)
-        away = np.hypot(aside[rows] - offset_m, points["z"][rows] - height)
+        away = np.hypot(across[rows] - offset_m, points["z"][rows] - height)
         out[rows] = np.minimum(out[rows], away)
     return out
 

@@ -38,7 +38,7 @@ class Method:
         Whether each half of the scan of each flightline is filtered by itself, fore and aft, as
         [W17] 6.1 and [W18] 2.1 do.
     claims : mapping
-        Effective settings that its row in a table stands for, as :func:`effective` names them.
+        Effective settings that its row in a table names, as :func:`effective` names them.
     """
 
     label: str
@@ -101,13 +101,13 @@ def _is_other(name: str, value: object, method: str) -> bool:
     return isinstance(value, dict) and name != method
 
 
-def _flat(section: Mapping[str, Any], place: str = "") -> Iterator[tuple[str, object]]:
+def _flat(section: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, object]]:
     """Keys of a section and those within it, with their values."""
     for name, value in section.items():
         if isinstance(value, dict):
-            yield from _flat(value, f"{place}{name}.")
+            yield from _flat(value, f"{prefix}{name}.")
         else:
-            yield place + name, value
+            yield prefix + name, value
 
 
 def unmet(
@@ -121,7 +121,7 @@ def unmet(
 
 
 def check(workflow: Path, overrides: Sequence[str], claims: Mapping[str, object]) -> None:
-    """Stop where a run would not be what its row in a table stands for."""
+    """Stop where a run would not be what its row in a table names."""
     if wrong := unmet(workflow, overrides, claims):
         raise SystemExit(f"{workflow}: not what the row claims, or without effect: {wrong}")
 
@@ -146,8 +146,8 @@ def known_methods() -> dict[str, Method]:
     }
     for name in _choices("method"):
         if name not in {"vsaes", "none"}:
-            said = {"filter.method": name, "noise.correction": "seen", **NO_RULE}
-            one = Method(name.upper(), (f"filter.method={name}",), LEFT_IN, claims=said)
+            claims = {"filter.method": name, "noise.correction": "seen", **NO_RULE}
+            one = Method(name.upper(), (f"filter.method={name}",), LEFT_IN, claims=claims)
             found[name] = replace(one, label=f"{one.label}, merged") if name == "aes" else one
     if "aes" in found:
         found["aes_alone"] = replace(found["aes"], label="AES, halves alone", alone=True)
@@ -219,15 +219,15 @@ def judge(survey: Path, method: Method) -> NDArray[np.uint8]:
 
 
 def _looks_ahead(survey: Path, path: Path) -> NDArray[np.bool_]:
-    """Which returns of a flightline lie ahead of the sensor: (n,)."""
+    """Which returns of a flightline lie forward of the sensor: (n,)."""
     time_s, *track = np.loadtxt(survey / "trajectory.csv", delimiter=",", skiprows=1).T[:3]
     las = laspy.read(path)
     at = np.asarray(las.gps_time)
-    ahead = np.zeros(len(at))
+    forward = np.zeros(len(at))
     for values, axis in zip(track, "xy", strict=True):
         way = np.interp(at + 0.5, time_s, values) - np.interp(at - 0.5, time_s, values)
-        ahead += way * (np.asarray(las[axis]) - np.interp(at, time_s, values))
-    return ahead > 0
+        forward += way * (np.asarray(las[axis]) - np.interp(at, time_s, values))
+    return forward > 0
 
 
 def _run(survey: Path, method: Method, output: str, files: list[Path]) -> NDArray[np.uint8]:

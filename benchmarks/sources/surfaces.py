@@ -1,7 +1,7 @@
 """[W17] Tables 5-1, 5-2, 6-4 and 7-1, Fig. 7-7 and 7-8 on simulated twins.
 
 Table 5-1, RMSE of the filtered returns against linear-mode lidar on roofs, bare ground and tree
-tops, five regions each of about 200 m2. The source does not say which returns it compares. Here
+tops, five regions each of about 200 m2. The source does not state which returns it compares. Here
 roofs and ground take those within half a metre of the reference surface, as what lies farther off
 would rule the figure alone (the second table counts it); tree tops compare the highest returns of
 1 m cells. Table 5-2, share of the noise near roofs that is removed. Table 7-1, noise in the 5 m
@@ -45,7 +45,7 @@ NEAR_M = 0.5
 """Returns farther from the reference surface are left out of the RMSE [m]."""
 
 CLEAR_M, BENEATH_M = 0.3, 5.0
-"""Noise this far from a roof can be told from it by eye; down to this far it is counted [m]."""
+"""Noise this far from a roof is distinct from it by eye; down to this far it is counted [m]."""
 
 ROOF_M2 = 75.0
 """Region on a roof in [W17] Table 7-1 [m2]."""
@@ -138,7 +138,7 @@ def _relations(survey: Path, points: Columns, roofs: Sequence[Patch]) -> Figures
     """Fig. 7-7, on what the differential cell count leaves, and Fig. 7-8.
 
     The brightness of a roof is its reflectance, which the intensity of the source's linear-mode
-    lidar stands for.
+    lidar represents.
     """
     truth = json.loads((survey / "truth" / "scene.json").read_text(encoding="utf-8"))
     bright = np.array([b["reflectance"] for b in truth["buildings"]])
@@ -239,7 +239,7 @@ def _beneath(patch: Patch, points: Columns, kept: NDArray[np.bool_]) -> NDArray[
 
 
 def lawns_and_groves(survey: Path) -> tuple[list[shapely.Polygon], list[shapely.Polygon]]:
-    """The barest and the most wooded squares, five each, apart from roofs and each other."""
+    """The barest and the most wooded cells, five each, apart from roofs and each other."""
     with (
         rasterio.open(survey / "truth" / "dtm.tif") as low,
         rasterio.open(survey / "truth" / "dsm.tif") as top,
@@ -251,11 +251,11 @@ def lawns_and_groves(survey: Path) -> tuple[list[shapely.Polygon], list[shapely.
     for row in range(0, height.shape[0] - SQUARE_M + 1, SQUARE_M):
         for column in range(0, height.shape[1] - SQUARE_M + 1, SQUARE_M):
             west, north = at.c + column, at.f - row
-            square = shapely.box(west, north - SQUARE_M, west + SQUARE_M, north)
-            if not square.intersects(roofs):
+            cell = shapely.box(west, north - SQUARE_M, west + SQUARE_M, north)
+            if not cell.intersects(roofs):
                 window = height[row : row + SQUARE_M, column : column + SQUARE_M]
-                tall[square] = float((window > NEAR_M).mean())
-    ordered = sorted(tall, key=lambda square: tall[square])
+                tall[cell] = float((window > NEAR_M).mean())
+    ordered = sorted(tall, key=lambda cell: tall[cell])
     return ordered[:REGIONS], ordered[-REGIONS:]
 
 

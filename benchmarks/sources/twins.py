@@ -4,8 +4,8 @@ Each function gives a scene for :func:`spl_batch.airborne.simulate.simulate`; th
 and flights, moves towers, and draws relief, roofs and trees anew. What a source reports of its
 set-up is in the table. Background and returns per metre of wire, which none reports, follow from
 the link budget [W17 2.2]: the sun is that at noon of the day, wires have their diameters. Speed or
-pulse energy give the density of returns that the source reports. Places, heights and diameters are
-ours.
+pulse energy give the density of returns that the source reports. Positions, heights and diameters
+are ours.
 
 ===========  =========================================  ====================================
 twin         source                                     reported there
@@ -126,7 +126,7 @@ def houston(seed: int, share: float = 1.0) -> Scene:
     """Twin of [W17] 7.3: a campus of 20 roofs from dark to bright, flat, shed and gable.
 
     One flightline gives the source's 30 returns per m2 once most beamlets see the ground, as 7.5
-    says they do; the pulse energy stands for that brightness.
+    says they do; the pulse energy represents that brightness.
     """
     rng = np.random.default_rng(seed)
     extent_m = 160.0 * share, 150.0 * share

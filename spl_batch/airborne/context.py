@@ -33,7 +33,7 @@ class Context(RunContext[Workflow]):
         outputs = self.workflow.outputs
         if outputs.units is None:
             return self.units
-        return self.units.shown_in(outputs.units, places=outputs.crs is None)
+        return self.units.shown_in(outputs.units, horizontal=outputs.crs is None)
 
     def within(self, name: str, x: NDArray[np.int64], y: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Which places, (n,) each [quanta], lie in the polygons of a file of the workflow."""

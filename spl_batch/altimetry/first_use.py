@@ -22,7 +22,7 @@ class _Folder:
     bad: list[InputError] = field(default_factory=list)
 
 
-def begin(place: Path) -> Beginning | None:
+def begin(folder: Path) -> Beginning | None:
     """A workflow for the tracks below a folder; None where it holds none.
 
     Raises
@@ -31,19 +31,19 @@ def begin(place: Path) -> Beginning | None:
         If it holds HDF5 files, and none has photons that can be read.
     """
     found = _Folder()
-    for path in files_below(place):
+    for path in files_below(folder):
         try:
             _sort_in(path, found)
         except InputError as error:
             found.bad.append(error)
     if found.tracks or found.tables:
-        return _draft(place, found)
+        return _draft(folder, found)
     if found.bad:
-        raise WorkflowError(f"{place}: no photon file can be used: {found.bad[0]}")
+        raise WorkflowError(f"{folder}: no photon file can be used: {found.bad[0]}")
     if found.labels:
-        name = found.labels[0].relative_to(place)
+        name = found.labels[0].relative_to(folder)
         raise WorkflowError(
-            f"{place}: {name} is an ATL08 file, which has labels and no photons; put the ATL03 "
+            f"{folder}: {name} is an ATL08 file, which has labels and no photons; put the ATL03 "
             "file of the same granule beside it"
         )
     return None
@@ -59,18 +59,18 @@ def _sort_in(path: Path, found: _Folder) -> None:
         found.tables.append(inspect(path))
 
 
-def _draft(place: Path, found: _Folder) -> Beginning:
+def _draft(folder: Path, found: _Folder) -> Beginning:
     tracks = found.tracks or found.tables
     made = headed("altimetry")
     made.lines += ["", "kind: altimetry"]
     made.section("track")
-    made.lines += key_lines("name", real_path(place).name or "track", "  ")
-    made.known("photons", patterns(place, [track.path for track in tracks]), _photons(tracks))
+    made.lines += key_lines("name", real_path(folder).name or "track", "  ")
+    made.known("photons", patterns(folder, [track.path for track in tracks]), _photons(tracks))
     tables = [table.path for table in found.tables] if found.tracks else []
     if found.labels or tables:
         made.lines += ["", "reference:" if found.labels else "# reference:"]
     if found.labels:
-        pattern = patterns(place, found.labels)
+        pattern = patterns(folder, found.labels)
         reason = "ATL08: its labels of photons are compared with ours"
         if isinstance(pattern, str):
             made.known("labels", pattern, reason)
@@ -78,7 +78,7 @@ def _draft(place: Path, found: _Folder) -> Beginning:
             apart = "put these files into one folder of their own"
             made.open("labels", pattern[0], f"{reason}; {apart}")
     if tables:
-        names = [path.relative_to(place).as_posix() for path in tables]
+        names = [path.relative_to(folder).as_posix() for path in tables]
         made.open(
             "points",
             names[0],

@@ -152,8 +152,8 @@ def _canopy(
     rng: np.random.Generator, scene: TrackScene, along: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
     """Height above ground of each signal photon, and whether it is of the canopy."""
-    stands = int(scene.length_m / 50.0) + 2
-    wooded = rng.uniform(size=stands) < scene.canopy
+    plots = int(scene.length_m / 50.0) + 2
+    wooded = rng.uniform(size=plots) < scene.canopy
     tops = rng.uniform(8.0, 22.0, int(scene.length_m / 10.0) + 2)
     leaf = wooded[(along / 50.0).astype(np.int64)] & (rng.uniform(size=len(along)) < 0.7)
     top = tops[(along / 10.0).astype(np.int64)]

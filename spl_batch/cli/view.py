@@ -129,7 +129,7 @@ class View:
 
 @contextmanager
 def watching(console: Console | None = None) -> Iterator[View]:
-    """Show what happens while the block runs, on standard error.
+    """Show what happens while the body runs, on standard error.
 
     Yields
     ------

@@ -1,6 +1,6 @@
 """Checkpoints of a field survey: CSV or any vector format, on the axes of the survey's CRS.
 
-A checkpoint is a place whose height was measured better than the product's. A fault leaves out that
+A checkpoint is a point whose height was measured better than the product's. A fault leaves out that
 checkpoint alone, in a sentence that names it.
 """
 
@@ -38,7 +38,7 @@ SURFACES: Final[Mapping[str, Surface]] = {
 COLUMNS: Final = ("id", "x", "y", "z", "surface")
 """Columns that a file has, ``surface`` unless all are open; others are optional."""
 
-SAME_PLACE_M: Final = 0.01
+SAME_POSITION_M: Final = 0.01
 """Checkpoints nearer to each other than this in every axis are one [m]."""
 
 _NUMBERS: Final = frozenset({"x", "y", "z", "accuracy_m"})
@@ -46,7 +46,7 @@ _NUMBERS: Final = frozenset({"x", "y", "z", "accuracy_m"})
 
 @dataclass(frozen=True, slots=True)
 class Checkpoint:
-    """A place of known height."""
+    """A point of known height."""
 
     id: str  #: Its name in the field survey.
     #: x_m, y_m, z_m: easting, northing and height in the survey's CRS, converted to metres [m].
@@ -159,10 +159,10 @@ def _vector_rows(path: Path) -> Iterator[_Row]:
         alone = shapely.get_num_geometries(layer.shapes) == 1
         points = np.where(alone, shapely.get_geometry(layer.shapes, 0), None)
         there = ~shapely.is_missing(points) & ~shapely.is_empty(points)
-        place = {"x": shapely.get_x(points), "y": shapely.get_y(points)}
+        xyz = {"x": shapely.get_x(points), "y": shapely.get_y(points)}
         if shapely.has_z(points[there]).all():
-            place["z"] = shapely.get_z(points)
-        columns = {"crs": np.full(len(points), layer.crs, object), **layer.fields, **place}
+            xyz["z"] = shapely.get_z(points)
+        columns = {"crs": np.full(len(points), layer.crs, object), **layer.fields, **xyz}
         _refuse_without(path, columns)
         for k in range(len(points)):
             yield {name: column[k] for name, column in columns.items()}
@@ -215,18 +215,18 @@ def _left_out(names: Sequence[str], why: str) -> str:
 
 
 def _once(rows: Sequence[_Row], remarks: list[str]) -> Iterator[_Row]:
-    """Rows whose name and place no earlier one has."""
+    """Rows whose name and position no earlier one has."""
     known: set[str | tuple[int, ...]] = set()
     again: list[str] = []
     for row in rows:
-        place = tuple(round(value / SAME_PLACE_M) for value in row["xyz"])
-        if {row["id"], place} & known:
+        position = tuple(round(value / SAME_POSITION_M) for value in row["xyz"])
+        if {row["id"], position} & known:
             again.append(row["id"])
             continue
-        known |= {row["id"], place}
+        known |= {row["id"], position}
         yield row
     if again:
-        remarks.append(_left_out(again, "an earlier one has the name or place"))
+        remarks.append(_left_out(again, "an earlier one has the name or position"))
 
 
 def _in_crs(
@@ -282,7 +282,7 @@ def _ratio(path: Path, source: CRS, crs: CRS) -> float:
 def _transformed(
     path: Path, source: CRS, crs: CRS, xyz: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Places in another CRS, (n, 3); infinite where one of them cannot be transformed."""
+    """Coordinates in another CRS, (n, 3); infinite where one of them cannot be transformed."""
     whole = bool(other_heights(source, crs))
     ends = (source, crs) if whole else (horizontal(source), horizontal(crs))
     try:

@@ -44,7 +44,7 @@ _UTM_LATITUDE: Final = 84.0
 
 
 def parse_crs(text: str, key: str, *, heights: bool = False) -> CRS:
-    """CRS of places that a user names, or of ``heights`` alone.
+    """CRS of coordinates that a user names, or of ``heights`` alone.
 
     ``text``: anything that PROJ takes: ``EPSG:32615``, WKT.
 
@@ -63,7 +63,7 @@ def parse_crs(text: str, key: str, *, heights: bool = False) -> CRS:
         raise WorkflowError(f"{key}: {crs_name(found)} is no vertical CRS; write e.g. {example}")
     if alone and not heights:
         raise WorkflowError(
-            f"{key}: {crs_name(found)} is a CRS of heights alone; write that of places with it, "
+            f"{key}: {crs_name(found)} is a CRS of heights alone; write a horizontal one with it, "
             f"e.g. {example}+5703"
         )
     return found
@@ -275,26 +275,26 @@ def _stretches(crs: CRS, by: str, remedy: str) -> str:
     )
 
 
-def stretch_problem(crs: CRS, places_m: ArrayLike, remedy: str = REPROJECT) -> list[str]:
-    """Why a projection is not for these places, (n, 2) [m]; none where it is.
+def stretch_problem(crs: CRS, points_m: ArrayLike, remedy: str = REPROJECT) -> list[str]:
+    """Why a projection is not for these points, (n, 2) [m]; none where it is.
 
     ``remedy``: as of :func:`crs_problems`.
     """
-    lengths, _ = scale_there(crs, places_m)
+    lengths, _ = scale_there(crs, points_m)
     apart = abs(lengths - 1.0) > LENGTHS_APART
     return [_stretches(crs, f"{lengths:.2f}", remedy)] if apart else []
 
 
-def scale_there(crs: CRS, places_m: ArrayLike) -> tuple[float, float]:
-    """Scale of lengths, which is farthest from 1, and of areas, at the truest of some places.
+def scale_there(crs: CRS, points_m: ArrayLike) -> tuple[float, float]:
+    """Scale of lengths, which is farthest from 1, and of areas, at the truest of some points.
 
-    ``places_m``: (n, 2), corners of a survey, of which one may lie astray [m]. Both scales are 1
+    ``points_m``: (n, 2), corners of a survey, of which one may lie astray [m]. Both scales are 1
     where no projection is known, and beyond its reach.
     """
     flat, found = horizontal(crs), []
     if not flat.is_projected:
         return 1.0, 1.0
-    for x, y in np.asarray(places_m, np.float64).reshape(-1, 2) / Units.of(crs).horizontal_m:
+    for x, y in np.asarray(points_m, np.float64).reshape(-1, 2) / Units.of(crs).horizontal_m:
         try:
             projection = Proj(flat)
             there = projection.get_factors(*projection(x, y, inverse=True, errcheck=True))

@@ -16,7 +16,7 @@ from spl_batch.errors import InputError, grouped, storage
 DAMAGED: Final = "the file is damaged, copy it again"
 
 BOMB_RATIO: Final = 1200
-"""Bytes that a byte of a file may stand for: deflate reaches 1032; returns of a survey take a tenth
+"""Bytes that a byte of a file may expand to: deflate reaches 1032; returns of a survey take a tenth
 of their size, a column of zeros a hundredth."""
 
 SMALL_BYTES: Final = 512 << 20

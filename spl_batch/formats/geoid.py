@@ -27,8 +27,8 @@ _STEPS: Final = (
 def grid_file(grid: str, file: Path) -> Path | None:
     """The file of a grid: the one named, else the one in PROJ's data folders; None without one."""
     folders = [*get_data_dir().split(os.pathsep), get_user_data_dir()]
-    places = (file, *(Path(folder) / grid for folder in folders))
-    return next((place for place in places if place.is_file()), None)
+    files = (file, *(Path(folder) / grid for folder in folders))
+    return next((path for path in files if path.is_file()), None)
 
 
 class Geoid:
@@ -68,12 +68,12 @@ class Geoid:
                 f"folder {get_data_dir()}; put it there, or give its path"
             ) from None
         self._flat, self._units = horizontal(crs), Units.of(crs)
-        self._place = Transformer.from_crs(self._flat, self._flat.geodetic_crs, always_xy=True)
+        self._geodetic = Transformer.from_crs(self._flat, self._flat.geodetic_crs, always_xy=True)
 
     def heights(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Height above the ellipsoid at places of the survey [m], NaN beyond the grid [m]."""
+        """Height above the ellipsoid at points of the survey [m], NaN beyond the grid [m]."""
         unit_m = self._units.horizontal_m
-        east, north = self._place.transform(x / unit_m, y / unit_m)
+        east, north = self._geodetic.transform(x / unit_m, y / unit_m)
         *_, height = self._heights.transform(east, north, np.zeros(len(x)))
         return np.where(np.isfinite(height), height, np.nan)
 

@@ -131,7 +131,7 @@ def _by_gdal(entries: NDArray[np.uint16], doubles: bytes, text: bytes) -> CRS | 
 
 def _one_pixel_tiff(directory: bytes, doubles: bytes, text: bytes) -> bytes:
     tags = ImageFileDirectory_v2()
-    # A raster without a place makes rasterio warn.
+    # A raster without a geotransform makes rasterio warn.
     tags[33550], tags[33922] = (1.0, 1.0, 0.0), (0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
     tags.tagtype[GEO_KEYS[2][1]] = TiffTags.ASCII
     shorts = np.frombuffer(directory[: len(directory) // 2 * 2], "<u2")

@@ -96,7 +96,7 @@ def clock(
     """How times of a trajectory become the points'; None where nothing is to be done.
 
     Week seconds leave the week open: the one is taken that brings each record closest to the
-    points. Records that wrap round at its end may change places.
+    points. Records that wrap round at its end may change order.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ def open_hdf5(path: Path) -> Iterator[h5py.File]:
     Raises
     ------
     InputError
-        If the file is missing, no HDF5, damaged, or a block of it cannot be read.
+        If the file is missing, no HDF5, damaged, or a chunk of it cannot be read.
     """
     with open_input(path) as stream:
         if stream.read(len(SIGNATURE)) != SIGNATURE:

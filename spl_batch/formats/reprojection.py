@@ -1,4 +1,4 @@
-"""Delivered clouds and rasters in another CRS or unit, places by PROJ, heights too where named."""
+"""Delivered clouds and rasters in another CRS or unit, by PROJ, heights too where named."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -60,7 +60,7 @@ _CHUNK: Final = 500_000
 _EDGE_POINTS: Final = 21
 """Points along an edge of a raster by which its extent elsewhere is found [count]."""
 
-Places = NDArray[np.float64]
+Coordinates = NDArray[np.float64]
 
 
 class Reprojection:
@@ -145,11 +145,11 @@ class Reprojection:
         """A length in metres, in the target's unit."""
         return length_m / self._to.horizontal_m
 
-    def check(self, places: Places) -> None:
-        """Refuse what PROJ cannot convert; ``places``: corners of the survey, (n, 3)."""
+    def check(self, corners: Coordinates) -> None:
+        """Refuse what PROJ cannot convert; ``corners``: those of the survey, (n, 3)."""
         try:
-            moved = np.concatenate([self.places(place[None]) for place in places])
-            flat = np.column_stack(self._flat.transform(*places[:, :2].T))  # of rasters and tiles
+            moved = np.concatenate([self.coordinates(corner[None]) for corner in corners])
+            flat = np.column_stack(self._flat.transform(*corners[:, :2].T))  # of rasters and tiles
         except ProjError as error:
             reason = str(error)
         else:
@@ -157,11 +157,11 @@ class Reprojection:
                 if problem := stretch_problem(self.crs, self._to.metres(flat), NAME):
                     raise WorkflowError(f"{self.key}: {problem[0]}")
                 return
-            reason = "a corner of the survey has no place there"
+            reason = "a corner of the survey has no coordinates there"
         raise self._unreachable(reason)
 
-    def places(self, xyz: Places) -> Places:
-        """Places, (n, 3), in the units of both CRS."""
+    def coordinates(self, xyz: Coordinates) -> Coordinates:
+        """Coordinates, (n, 3), in the units of both CRS."""
         x, y, z = xyz.T
         if self._heights_too:
             return np.column_stack(self._whole.transform(x, y, z, errcheck=len(xyz) == 1))
@@ -171,7 +171,7 @@ class Reprojection:
     def shape(self, shape: shapely.Geometry) -> shapely.Geometry:
         """A shape with its vertices in the target, from the unit of the survey's CRS."""
 
-        def moved(xy: Places) -> Places:
+        def moved(xy: Coordinates) -> Coordinates:
             return np.column_stack(self._flat.transform(*xy.T))
 
         return shapely.transform(shape, moved)
@@ -184,7 +184,7 @@ class Reprojection:
         """
         header = read_header(src)
         dropped = {LASZIP_KEY, EXTRA_BYTES_KEY, WKT_KEY, LIBLAS_KEY, *GEO_KEYS}
-        corners = self.places(np.array([header.mins_m, header.maxs_m], np.float64))
+        corners = self.coordinates(np.array([header.mins_m, header.maxs_m], np.float64))
         offsets = np.floor(corners.mean(axis=0) / 1000.0) * 1000.0 if header.n_points else [0.0] * 3
         offset_x, offset_y, offset_z = map(float, offsets)
         with RecordReader(header) as reader:
@@ -210,7 +210,8 @@ class Reprojection:
                     given = reader.read(start, min(start + _CHUNK, header.n_points))
                     raw = np.column_stack([given[axis] for axis in "XYZ"])
                     records = given.copy()
-                    frame.place(records, self.places(raw * header.scales + header.offsets), src)
+                    xyz = raw * header.scales + header.offsets
+                    frame.set_coordinates(records, self.coordinates(xyz), src)
                     for field in above:
                         records[field] *= np.float32(self._ratio)
                     yield records
@@ -247,13 +248,13 @@ class Reprojection:
             whole = Window(0, 0, shape[1], shape[0])
             for window in windows(whole, max(1, int(BLOCK * min(1.0, finer)))):
                 x, y = (side.ravel() for side in centres(corner, cell, window))
-                places = self._flat.transform(x, y, direction=TransformDirection.INVERSE)
-                xy = np.column_stack(places)
+                east_north = self._flat.transform(x, y, direction=TransformDirection.INVERSE)
+                xy = np.column_stack(east_north)
                 values = _sampled(src, units.metres(xy))
                 if above_datum and self._heights_too:
                     known = np.isfinite(values)
                     xyz = np.column_stack([xy[known], values[known] / units.vertical_m])
-                    values[known] = self.places(xyz)[:, 2] * self._to.vertical_m
+                    values[known] = self.coordinates(xyz)[:, 2] * self._to.vertical_m
                 kept = np.where(np.isnan(values), NODATA, values).astype(np.float32)
                 yield window.row_off, window.col_off, kept.reshape(window.height, window.width)
 
@@ -261,7 +262,7 @@ class Reprojection:
             dst,
             blocks(),
             shape=shape,
-            place=Affine(cell, 0.0, corner[0], 0.0, -cell, corner[1]),
+            transform=Affine(cell, 0.0, corner[0], 0.0, -cell, corner[1]),
             crs=self.crs.to_wkt(),
             description=meaning,
             unit=unit,
@@ -287,8 +288,8 @@ def _same_zero(survey: CRS, target: CRS) -> bool:
     return mine is wanted and survey.datum == target.datum
 
 
-def _sampled(path: Path, xy_m: Places) -> Places:
-    """Values of a raster at places, (n,); NaN where it has none, or there is no such place."""
+def _sampled(path: Path, xy_m: Coordinates) -> Coordinates:
+    """Values of a raster at points, (n,); NaN where it has none, or a point has no coordinates."""
     there, out = np.isfinite(xy_m).all(axis=1), np.full(len(xy_m), np.nan)
     if there.any():
         (west, south), (east, north) = (end(xy_m[there], axis=0) for end in (np.min, np.max))

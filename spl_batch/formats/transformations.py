@@ -62,7 +62,7 @@ def best_transformer(source: CRS, target: CRS) -> Transformer:
 
 
 def shape_transformers(source: CRS, target: CRS) -> list[Transformer]:
-    """Transformations of places, one after the other: the best, or those of :func:`kept_degrees`.
+    """Transformations, one after the other: the best, or those of :func:`kept_degrees`.
 
     Raises
     ------

@@ -50,10 +50,10 @@ class Units:
         """
         return cls() if crs is None else cls(*_of_wkt(crs.to_wkt()))
 
-    def shown_in(self, key: str, *, places: bool) -> Self:
-        """The same with heights in a unit of :data:`NAMES`, and with ``places`` these too."""
+    def shown_in(self, key: str, *, horizontal: bool) -> Self:
+        """The same with heights in a unit of :data:`NAMES`, and with ``horizontal`` all axes."""
         name = NAMES[key]
-        flat = (name, COMMON[name]) if places else (self.horizontal, self.horizontal_m)
+        flat = (name, COMMON[name]) if horizontal else (self.horizontal, self.horizontal_m)
         return type(self)(*flat, name, COMMON[name])
 
     @property
@@ -72,7 +72,7 @@ class Units:
         return _written(self.vertical), self.vertical_m
 
     @property
-    def of_places(self) -> tuple[str, float]:
+    def of_coordinates(self) -> tuple[str, float]:
         """Unit of eastings and northings as pages write it, and the metres in it."""
         return _written(self.horizontal), self.horizontal_m
 
@@ -81,9 +81,9 @@ class Units:
         lengths = unit == "m" and self.vertical_m != 1.0
         return (self.vertical, self.vertical_m) if lengths else (unit, 1.0)
 
-    def metres(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Places of the CRS, (n, 2 or 3), in metres."""
-        return places if self.are_metres else places * self.xyz_m[: places.shape[1]]
+    def metres(self, coordinates: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Coordinates of the CRS, (n, 2 or 3), in metres."""
+        return coordinates if self.are_metres else coordinates * self.xyz_m[: coordinates.shape[1]]
 
 
 def _written(name: str) -> str:

@@ -77,7 +77,7 @@ def refuse_referring(path: Path, *, raster: bool = False) -> None:
         raise InputError(
             str(path),
             f"holds no {what} but names where GDAL finds some, in another file, a service or a"
-            f" pipeline: write what it stands for to a {remedy}",
+            f" pipeline: write what it names to a {remedy}",
         )
 
 

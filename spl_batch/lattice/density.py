@@ -1,4 +1,4 @@
-"""Density of a survey's points by place: counts in squares of the tile grid, and what units hold.
+"""Density of a survey's points by location: counts in cells of the tile grid, and what units hold.
 
 Before any work, it follows from headers: a file's points spread evenly over its bounding box, and
 overlaps add up. After the shuffle it follows from the tiles. A survey is a few dense pieces, so
@@ -16,17 +16,17 @@ from numpy.typing import NDArray
 
 from spl_batch.lattice.tiles import Bounds, CellId, far_apart
 
-MAX_SQUARES = 8_000_000
-"""Squares of a piece; a larger one is counted in squares of twice the edge, and so on."""
+MAX_CELLS = 8_000_000
+"""Cells of a piece; a larger one is counted in cells of twice the edge, and so on."""
 
-FEW_SQUARES = 4096
-"""Squares that a piece may have, however few its points; beyond, no more squares than points."""
+FEW_CELLS = 4096
+"""Cells that a piece may have, however few its points; beyond, no more cells than points."""
 
 FAR_Q = 10_000_000
 """Straight gap beyond which what lies on either side is a piece of its own [quanta]."""
 
 _TOUCHED = 1e-6
-"""Share of a square that counts as none: what sums of shares leave of nothing."""
+"""Share of a cell that counts as none: what sums of shares leave of nothing."""
 
 
 class Box(NamedTuple):
@@ -45,15 +45,15 @@ class Peak(NamedTuple):
 
 @dataclass(frozen=True)
 class Piece:
-    """Points in squares of an absolute grid over one rectangle."""
+    """Points in cells of an absolute grid over one rectangle."""
 
-    edge: int  #: Edge of a square [quanta].
-    first: CellId  #: Column and row of the first square.
-    points: NDArray[np.float64]  #: (rows, columns): points of each square [count].
-    touched: NDArray[np.bool_]  #: (rows, columns): squares that belong to the survey.
+    edge: int  #: Edge of a cell [quanta].
+    first: CellId  #: Column and row of the first cell.
+    points: NDArray[np.float64]  #: (rows, columns): points of each cell [count].
+    touched: NDArray[np.bool_]  #: (rows, columns): cells that belong to the survey.
 
     def units(self, unit_q: int) -> int:
-        """Units of an absolute grid that own part of a square of the survey [count]."""
+        """Units of an absolute grid that own part of a cell of the survey [count]."""
         step = max(unit_q, self.edge)
         there = self._sums(self._total_touched, step, (step, 0)) > _TOUCHED
         if step == unit_q:
@@ -65,7 +65,7 @@ class Piece:
     def peak(self, unit_q: int, halo_q: int) -> Peak:
         """The unit that reads most, of those that own part of the survey.
 
-        Where squares are larger than units, one unit of each square is looked at.
+        Where cells are larger than units, one unit of each cell is looked at.
 
         Parameters
         ----------
@@ -84,8 +84,8 @@ class Piece:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_], CellId]:
         """Points of each unit, and with its halo; which own part of the survey; the first unit.
 
-        Three (rows, columns); units that own none have no points of their own. Where squares are
-        larger than units, one unit of each square is looked at. Parameters as of :meth:`peak`.
+        Three (rows, columns); units that own none have no points of their own. Where cells are
+        larger than units, one unit of each cell is looked at. Parameters as of :meth:`peak`.
         """
         step = max(unit_q, self.edge)
         own, read = (self._sums(self._total, step, (unit_q, reach)) for reach in (0, halo_q))
@@ -111,9 +111,9 @@ class Piece:
         self, total: NDArray[np.float64], axis: int, step: int, reach: tuple[int, int]
     ) -> NDArray[np.float64]:
         """Differences of running totals over the extents of all units along one axis."""
-        first, squares = self.first[1 - axis], total.shape[axis] - 1
+        first, number = self.first[1 - axis], total.shape[axis] - 1
         unit_q, halo_q = reach
-        units = np.arange(first * self.edge // step, -(-(first + squares) * self.edge // step))
+        units = np.arange(first * self.edge // step, -(-(first + number) * self.edge // step))
         low = (units * step - halo_q) / self.edge - first
         high = (units * step + unit_q + halo_q) / self.edge - first
         return _at(total, high, axis) - _at(total, low, axis)
@@ -158,10 +158,10 @@ def from_counts(counts: Mapping[CellId, int], edge: int) -> Iterator[Piece]:
     for rows in far_apart(cells, max(FAR_Q // edge, 1)):
         extent = (np.ptp(cells[rows], axis=0) + 1) * edge
         size = _coarse(int(extent[0]), int(extent[1]), edge, math.fsum(values[rows]))
-        square = cells[rows] * edge // size
-        low, high = square.min(axis=0), square.max(axis=0)
+        coarse = cells[rows] * edge // size
+        low, high = coarse.min(axis=0), coarse.max(axis=0)
         points = np.zeros((high - low + 1)[::-1])
-        np.add.at(points, (square[:, 1] - low[1], square[:, 0] - low[0]), values[rows])
+        np.add.at(points, (coarse[:, 1] - low[1], coarse[:, 0] - low[0]), values[rows])
         yield Piece(size, CellId(int(low[0]), int(low[1])), points, points > 0)
 
 
@@ -179,7 +179,7 @@ def _integral(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _at(total: NDArray[np.float64], at: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
-    """Running totals at fractional places along an axis; constant beyond its ends."""
+    """Running totals at fractional positions along an axis; constant beyond its ends."""
     at = np.clip(at, 0.0, total.shape[axis] - 1)
     low = np.minimum(at.astype(np.int64), total.shape[axis] - 2)
     share = np.expand_dims(at - low, 1 - axis)
@@ -189,15 +189,15 @@ def _at(total: NDArray[np.float64], at: NDArray[np.float64], axis: int) -> NDArr
 
 
 def _shares(low: int, high: int, size: int, first: int) -> tuple[slice, NDArray[np.float64]]:
-    """Squares that an extent touches, and the share of it that lies in each."""
+    """Cells that an extent touches, and the share of it that lies in each."""
     start, stop = low // size, -(-high // size)
     edges = np.clip(np.arange(start, stop + 1, dtype=np.float64) * size, low, high)
     return slice(start - first, stop - first), np.diff(edges) / (high - low)
 
 
 def _coarse(width: int, height: int, edge: int, points: float) -> int:
-    """Edge of squares that are few enough: the tile's, or a power of two of it."""
-    size, most = edge, min(MAX_SQUARES, max(points, FEW_SQUARES))
+    """Edge of cells that are few enough: the tile's, or a power of two of it."""
+    size, most = edge, min(MAX_CELLS, max(points, FEW_CELLS))
     while width / size * (height / size) > most:
         size *= 2
     return size

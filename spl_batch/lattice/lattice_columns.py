@@ -82,8 +82,8 @@ def first_above(points, low, high, z):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def stretch_of(place, reach, edge, n):  # type: ignore[no-untyped-def]
-    """First column within ``reach`` of a place along one axis, and the one after the last."""
-    low = np.int64(math.floor((place - reach) / edge))
-    high = np.int64(math.floor((place + reach) / edge))
+def stretch_of(coordinate, reach, edge, n):  # type: ignore[no-untyped-def]
+    """First column within ``reach`` of a coordinate along one axis, and the one after the last."""
+    low = np.int64(math.floor((coordinate - reach) / edge))
+    high = np.int64(math.floor((coordinate + reach) / edge))
     return max(low, 0), min(high + 1, n)

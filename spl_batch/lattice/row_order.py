@@ -15,11 +15,11 @@ ROOM = 1 << 16
 """Numbers that span no more than this are counted, however few they are [count]."""
 
 _WORD = 64
-_BLOCK = 1 << 14
+_PART = 1 << 14
 _DIGIT = 16
 
 _NEAR = 34
-"""Floats whose bits differ in so many places at most need no ranks: times within minutes do."""
+"""Floats whose bits differ in so many positions at most need no ranks: times within minutes do."""
 
 
 def lexicographic_order(keys: Sequence[NDArray[Any]]) -> NDArray[np.intp]:
@@ -101,10 +101,10 @@ def in_order(keys: Sequence[NDArray[Any]]) -> bool:
     """
     n = len(keys[0])
     # Rows in no order show it early.
-    return all(_block_in_order([k[a : a + _BLOCK + 1] for k in keys]) for a in range(0, n, _BLOCK))
+    return all(_part_in_order([k[a : a + _PART + 1] for k in keys]) for a in range(0, n, _PART))
 
 
-def _block_in_order(keys: Sequence[NDArray[Any]]) -> bool:
+def _part_in_order(keys: Sequence[NDArray[Any]]) -> bool:
     tied = np.ones(max(len(keys[0]) - 1, 0), np.bool_)
     for key in keys:
         before, after = key[:-1], key[1:]
@@ -167,7 +167,7 @@ def _ranks(key: NDArray[Any]) -> NDArray[np.uint64]:
 def _ordered_bits(key: NDArray[Any]) -> NDArray[np.int64]:
     """Whole numbers in the order of some floats, none of them NaN: (n,) int64.
 
-    The bits of positive ones are in that order already [IEEE 754]; 0.0 stands for -0.0.
+    The bits of positive ones are in that order already [IEEE 754]; -0.0 counts as 0.0.
     """
     bits = (key.astype(np.float64) + 0.0).view(np.int64)
     bits ^= (bits >> np.int64(63)) & np.int64(np.iinfo(np.int64).max)

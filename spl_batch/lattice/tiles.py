@@ -30,7 +30,7 @@ class Bounds(NamedTuple):
 
 
 class CellId(NamedTuple):
-    """Column and row of a square on an absolute grid."""
+    """Column and row of a cell on an absolute grid."""
 
     i: int
     j: int
@@ -53,7 +53,7 @@ def quanta(length_m: float) -> int:
 def cell_bounds(cell: CellId, size: int) -> Bounds:
     """Region that a cell of an absolute grid owns.
 
-    ``size``: edge of the grid's squares [quanta], > 0.
+    ``size``: edge of the grid's cells [quanta], > 0.
     """
     return Bounds(cell.i * size, cell.j * size, (cell.i + 1) * size, (cell.j + 1) * size)
 
@@ -66,7 +66,7 @@ def cells_touching(bounds: Bounds, size: int) -> Iterator[CellId]:
     bounds : Bounds
         Region; an empty one touches nothing.
     size : int
-        Edge of the grid's squares [quanta], > 0.
+        Edge of the grid's cells [quanta], > 0.
     """
     if bounds.xmax <= bounds.xmin or bounds.ymax <= bounds.ymin:
         return
@@ -84,9 +84,9 @@ def grow(bounds: Bounds, halo: int) -> Bounds:
 
 
 def whole_cells(bounds: Bounds, size: int) -> Bounds:
-    """Smallest region of whole squares of an absolute grid that holds a region.
+    """Smallest region of whole cells of an absolute grid that holds a region.
 
-    ``size``: edge of the grid's squares [quanta], > 0.
+    ``size``: edge of the grid's cells [quanta], > 0.
     """
     west, south = bounds.xmin // size, bounds.ymin // size
     east, north = -(-bounds.xmax // size), -(-bounds.ymax // size)
@@ -126,39 +126,39 @@ def cell_index(coordinate: NDArray[np.int64], size: int) -> NDArray[np.int64]:
     coordinate : (n,) int64
         Coordinates [quanta].
     size : int
-        Edge of the grid's squares [quanta], > 0.
+        Edge of the grid's cells [quanta], > 0.
     """
     index: NDArray[np.int64] = np.floor_divide(coordinate, size)
     return index
 
 
 def far_apart(
-    places: NDArray[np.int64], gap: int, ends: NDArray[np.int64] | None = None
+    points: NDArray[np.int64], gap: int, ends: NDArray[np.int64] | None = None
 ) -> Iterator[NDArray[np.intp]]:
-    """Rows of places in groups that wide empty columns or rows keep apart, again and again.
+    """Rows of points in groups that wide empty columns or rows keep apart, again and again.
 
     Parameters
     ----------
-    places : (n, 2) int64
+    points : (n, 2) int64
         Easting and northing, or column and row.
     gap : int
-        Places along an axis that differ by more than this, with none between, are apart.
+        Points along an axis that differ by more than this, with none between, are apart.
     ends : (n, 2) int64, optional
-        The same of the other corners, where the places are rectangles.
+        The same of the other corners, where they are rectangles.
 
     Yields
     ------
     (k,) intp
         Rows of a group, in any order; each row is in one group.
     """
-    ends = places if ends is None else ends
-    waiting = [np.arange(len(places))] if len(places) else []
+    ends = points if ends is None else ends
+    waiting = [np.arange(len(points))] if len(points) else []
     while waiting:
         rows = waiting.pop()
         for axis in (0, 1):
-            rows = rows[np.argsort(places[rows, axis], kind="stable")]
+            rows = rows[np.argsort(points[rows, axis], kind="stable")]
             reached = np.maximum.accumulate(ends[rows, axis])[:-1]
-            cuts = np.flatnonzero(places[rows[1:], axis] - reached > gap) + 1
+            cuts = np.flatnonzero(points[rows[1:], axis] - reached > gap) + 1
             if len(cuts):
                 waiting.extend(reversed(np.split(rows, cuts)))
                 break

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from spl_batch.numerics.compiled import njit
 
 Index = NDArray[np.int64]
-Places = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]
+Points = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]
 
 NEAREST = 5
 """Points that bound the height of a surface [count]."""
@@ -16,7 +16,7 @@ _ROUNDING = np.sqrt(np.finfo(np.float64).eps)
 
 @njit()
 def nearest_heights(
-    xyz: Places,
+    xyz: Points,
     start: Index,
     lattice: tuple[int, int, int],
     reach: float,
@@ -54,13 +54,13 @@ def nearest_heights(
 
 @njit()
 def _find_nearest(
-    xyz: Places,
+    xyz: Points,
     start: Index,
     lattice: tuple[int, int, int],
     cell: tuple[int, int],
     nearest: NDArray[np.float64],
 ) -> int:
-    """Squared distances from a centre to the nearest returns; how many cells aside they are."""
+    """Squared distances from a centre to the nearest returns; how many cells away they are."""
     x, y, _ = xyz
     cols, rim, size = lattice
     row, col = cell
@@ -81,7 +81,7 @@ def _find_nearest(
 
 @njit()
 def _allowed(
-    xyz: Places,
+    xyz: Points,
     start: Index,
     lattice: tuple[int, int, int],
     cell: tuple[int, int],

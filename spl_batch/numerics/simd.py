@@ -93,7 +93,7 @@ def _everywhere(builder: ir.IRBuilder, value: ir.Value) -> ir.Value:
     return builder.shuffle_vector(first, nothing, every)
 
 
-def _place(
+def _address(
     context: Any, builder: ir.IRBuilder, kind: Any, array: ir.Value, at: ir.Value
 ) -> tuple[ir.Value, int]:
     """Where eight values of an array from an index on lie, and how they are aligned [B]."""
@@ -104,7 +104,7 @@ def _place(
     return builder.bitcast(first, _vector(first.type.pointee).as_pointer()), bytes_each
 
 
-def _is_place(array: Any, at: Any) -> bool:
+def _is_address(array: Any, at: Any) -> bool:
     """Whether these are an array whose values lie side by side, and an unsigned index of it."""
     index = tuple(at) if isinstance(at, types.UniTuple) else (at,)
     return (
@@ -119,12 +119,12 @@ def _is_place(array: Any, at: Any) -> bool:
 @_intrinsic
 def load(_: Any, array: Any, at: Any) -> Any:
     """Eight values of an array from an index on; of int32 as floats, of bool as a mask."""
-    if not _is_place(array, at):
+    if not _is_address(array, at):
         return None
 
     def codegen(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
-        place, align = _place(context, builder, sig.args[0], *args)
-        values = builder.load(place, align=align)
+        address, align = _address(context, builder, sig.args[0], *args)
+        values = builder.load(address, align=align)
         if sig.args[0].dtype == types.int32:
             values = builder.sitofp(values, _vector(_OF[types.float64]))
         elif sig.args[0].dtype == types.boolean:
@@ -137,12 +137,12 @@ def load(_: Any, array: Any, at: Any) -> Any:
 @_intrinsic
 def store(_: Any, array: Any, at: Any, values: Any) -> Any:
     """Write eight values to an array of their kind from an index on."""
-    if not _is_place(array, at) or Lanes(array.dtype) != values or values == MASK:
+    if not _is_address(array, at) or Lanes(array.dtype) != values or values == MASK:
         return None
 
     def codegen(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
-        place, align = _place(context, builder, sig.args[0], *args[:2])
-        builder.store(args[2], place, align=align)
+        address, align = _address(context, builder, sig.args[0], *args[:2])
+        builder.store(args[2], address, align=align)
         return context.get_dummy_value()
 
     return types.void(array, at, values), codegen
@@ -154,10 +154,10 @@ def _compresses(context: Any) -> bool:
 
 
 def _store_one_by_one(
-    builder: ir.IRBuilder, values: ir.Value, mask: ir.Value, place: ir.Value
+    builder: ir.IRBuilder, values: ir.Value, mask: ir.Value, address: ir.Value
 ) -> None:
     """Store each lane where the next one goes, and go on behind it if it counts."""
-    first = builder.bitcast(place, values.type.element.as_pointer())
+    first = builder.bitcast(address, values.type.element.as_pointer())
     bits = builder.zext(builder.bitcast(mask, _BITS), _INDEX)
     at = _INDEX(0)
     for lane in range(LANES):
@@ -170,20 +170,20 @@ def _store_one_by_one(
 @_intrinsic
 def pack(_: Any, array: Any, at: Any, values: Any, mask: Any) -> Any:
     """Write the values of the lanes in a mask side by side from an index on, then anything."""
-    if not _is_place(array, at) or Lanes(array.dtype) != values or mask != MASK:
+    if not _is_address(array, at) or Lanes(array.dtype) != values or mask != MASK:
         return None
 
     def codegen(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
         array, at, values, mask = args
-        place, align = _place(context, builder, sig.args[0], array, at)
+        address, align = _address(context, builder, sig.args[0], array, at)
         if _compresses(context):
             name = f"llvm.experimental.vector.compress.v{LANES}{values.type.element.intrinsic_name}"
             kind = ir.FunctionType(values.type, [values.type, mask.type, values.type])
             compress = builder.module.declare_intrinsic(name, (), kind)
             nothing = ir.Constant(values.type, ir.Undefined)
-            builder.store(builder.call(compress, [values, mask, nothing]), place, align=align)
+            builder.store(builder.call(compress, [values, mask, nothing]), address, align=align)
         else:
-            _store_one_by_one(builder, values, mask, place)
+            _store_one_by_one(builder, values, mask, address)
         return context.get_dummy_value()
 
     return types.void(array, at, values, mask), codegen
@@ -269,7 +269,7 @@ def middles(pairs: Sequence[tuple[int, int]], size: int) -> Any:
     Parameters
     ----------
     pairs : sequence of (int, int)
-        Comparisons, in order: where the lesser and where the greater value is to stand.
+        Comparisons, in order: where the lesser and where the greater value goes.
 
     Returns
     -------
@@ -278,13 +278,13 @@ def middles(pairs: Sequence[tuple[int, int]], size: int) -> Any:
     """
 
     def middle(_: Any, array: Any, at: Any) -> Any:
-        if not _is_place(array, at) or array.dtype != types.float64:
+        if not _is_address(array, at) or array.dtype != types.float64:
             return None
 
         def codegen(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
-            place, align = _place(context, builder, sig.args[0], *args)
+            address, align = _address(context, builder, sig.args[0], *args)
             values = [
-                builder.load(builder.gep(place, [_INDEX(k)]), align=align) for k in range(size)
+                builder.load(builder.gep(address, [_INDEX(k)]), align=align) for k in range(size)
             ]
             for i, j in pairs:
                 one, other = values[i], values[j]
@@ -301,7 +301,7 @@ def middles(pairs: Sequence[tuple[int, int]], size: int) -> Any:
 
 
 def _chosen(sign: str) -> Any:
-    """One of two values by lane: the first where it stands so to the second."""
+    """One of two values by lane: the first where the comparison with the second holds."""
 
     def choose(_: Any, a: Any, b: Any) -> Any:
         if a != b or a not in {FLOATS, WHOLES}:

@@ -40,9 +40,9 @@ def sort(values: NDArray[Any]) -> None:
 
 @njit()
 def select(values: NDArray[np.float64], k: int) -> float:
-    """Value that a sort would put at place ``k``; what is not larger ends up before it.
+    """Value that a sort would put at position ``k``; what is not larger ends up before it.
 
-    ``values``: (n,) float64, finite; their order is changed. ``k``: place, 0 to n - 1.
+    ``values``: (n,) float64, finite; their order is changed. ``k``: position, 0 to n - 1.
     """
     low, high = 0, len(values) - 1
     while low < high:

@@ -45,17 +45,17 @@ def fit_plate(points: Values, stiffness: float) -> Values | None:
 
 
 def plate_heights(points: Values, plate: Values, x: Values, y: Values) -> Values:
-    """Heights of a plate of :func:`fit_plate` at places: (m,)."""
+    """Heights of a plate of :func:`fit_plate` at the points x, y: (m,)."""
     n = len(points)
     level = plate[n] + plate[n + 1] * x + plate[n + 2] * y
-    # One after the other: how numpy sums depends on how many places there are.
+    # One after the other: how numpy sums depends on how many points there are.
     terms = np.vstack([level, plate[:n, np.newaxis] * _bending(points, x, y)])
     heights: Values = np.cumsum(terms, axis=0, dtype=np.float64)[-1]
     return heights
 
 
 def _bending(points: Values, x: Values, y: Values) -> Values:
-    """``r**2 log r`` of the distances from points to places, 0 at 0: (n, m)."""
+    """``r**2 log r`` of the distances from points to x, y, 0 at 0: (n, m)."""
     distance2 = (x - points[:, :1]) ** 2 + (y - points[:, 1:2]) ** 2
     bending = xlogy(distance2, distance2)
     return np.asarray(0.5 * bending, np.float64)

@@ -249,7 +249,7 @@ def test_ground_is_compared_with_a_terrain_raster(tmp_path: Path) -> None:
     assert "dtm.tif" in " ".join(f["reason"] for f in report(workflow)["failures"])
 
 
-def test_a_reference_that_says_nothing_is_named(granule: Path, tmp_path: Path) -> None:
+def test_a_reference_without_heights_is_named(granule: Path, tmp_path: Path) -> None:
     write_csv(tmp_path / "photons.csv", small_track(3))
     (tmp_path / "far.csv").write_text("along_track,height\n9000000,1\n9000100,1\n")
     atl08 = granule.parent / "atl08.h5"
@@ -302,9 +302,9 @@ def test_a_damaged_beam_is_named_and_the_others_go_on(tmp_path: Path) -> None:
         made = file["gt1r/heights"].create_dataset(
             "h_ph", data=values, chunks=(512,), compression="gzip", fletcher32=True
         )
-        place = made.id.get_chunk_info(1).byte_offset
+        offset = made.id.get_chunk_info(1).byte_offset
     content = bytearray(path.read_bytes())
-    content[place + 40 : place + 60] = bytes(20)
+    content[offset + 40 : offset + 60] = bytes(20)
     path.write_bytes(content)
     (tmp_path / "b.h5").write_text("no photons")
     workflow = write_workflow(tmp_path, "*.h5")
@@ -327,7 +327,7 @@ def test_a_damaged_beam_is_named_and_the_others_go_on(tmp_path: Path) -> None:
         ({}, "no input is usable"),
     ],
 )
-def test_mistakes_are_said_in_one_line(
+def test_mistakes_are_reported_in_one_line(
     tmp_path: Path, sections: dict[str, Any], words: str
 ) -> None:
     (tmp_path / "photons.csv").write_text("along_track,height\n")

@@ -75,7 +75,7 @@ def test_a_wrong_list_names_what_there_is(methods: str, tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_a_receiver_of_one_method_says_so() -> None:
+def test_a_receiver_of_one_method_reports_it() -> None:
     workflow = Path(__file__).parents[2] / "workflows" / "coincidence.yaml"
     ended = surveys.command("compare", workflow, "--methods", "likelihood,mdbscan")
     assert ended.status == 2

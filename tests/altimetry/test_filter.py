@@ -146,8 +146,8 @@ def test_a_window_of_two_photons_and_one_of_none() -> None:
 def test_the_threshold_is_that_of_the_largest_f1() -> None:
     rng = np.random.default_rng(2)
     photons = np.r_[rng.normal(2.0, 0.7, 400), rng.normal(-2.0, 1.0, 1600)]
-    places, each = rng.normal(-2.0, 1.0, 800), np.full(800, 2.0)
-    expected, least, ground = _threshold(photons, places, each, 1.5)
+    strewn, each = rng.normal(-2.0, 1.0, 800), np.full(800, 2.0)
+    expected, least, ground = _threshold(photons, strewn, each, 1.5)
     signal = np.arange(2000) < 400
     best = max(f1(photons >= limit, signal) for limit in np.linspace(-3.0, 3.0, 200))
     assert f1(photons >= least, signal) > best - 0.01

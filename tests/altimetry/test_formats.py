@@ -1,4 +1,4 @@
-"""Photon files of every layout, and what is said of those that are wrong."""
+"""Photon files of every layout, and what is reported of those that are wrong."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -117,7 +117,7 @@ def test_heights_of_atl08_stand_where_their_segments_are(granule: Granule) -> No
 
 
 @pytest.mark.parametrize("order", ["as it is", "mixed"])
-def test_atl08_says_what_is_signal(
+def test_atl08_labels_what_is_signal(
     granule: Granule, order: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(atl08_io, "SLICE_PHOTONS", 97)
@@ -189,7 +189,7 @@ def _nothing(path: Path) -> None:
         file.create_group("orbit_info")
 
 
-HEIGHT, PLACED = "gt1r/heights/h_ph", "gt1r/geolocation/segment_ph_cnt"
+HEIGHT, FIRST_PHOTONS = "gt1r/heights/h_ph", "gt1r/geolocation/segment_ph_cnt"
 
 
 @pytest.mark.parametrize(
@@ -198,11 +198,11 @@ HEIGHT, PLACED = "gt1r/heights/h_ph", "gt1r/geolocation/segment_ph_cnt"
         (_shorten, "damaged HDF5"),
         (lambda path: path.write_text("no photons"), "is no HDF5 file"),
         (_with(HEIGHT, None), f"no dataset {HEIGHT}"),
-        (_with(PLACED, None), f"no dataset {PLACED}"),
-        (_with(PLACED, _more(3, 0)), "subset it again"),
-        (_with(PLACED, _more(-1000, 1000)), "segment_ph_cnt is -"),
-        (_with(PLACED, _wrapping), "segment_ph_cnt is 9223372036854"),
-        (_with(PLACED, lambda count: count + 0.5), "segment_ph_cnt holds float64"),
+        (_with(FIRST_PHOTONS, None), f"no dataset {FIRST_PHOTONS}"),
+        (_with(FIRST_PHOTONS, _more(3, 0)), "subset it again"),
+        (_with(FIRST_PHOTONS, _more(-1000, 1000)), "segment_ph_cnt is -"),
+        (_with(FIRST_PHOTONS, _wrapping), "segment_ph_cnt is 9223372036854"),
+        (_with(FIRST_PHOTONS, lambda count: count + 0.5), "segment_ph_cnt holds float64"),
         (_nothing, "neither gtxx/heights"),
         (_with("gt1r/heights/lat_ph", lambda values: values[:-1]), "differ in length"),
     ],

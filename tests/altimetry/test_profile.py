@@ -215,7 +215,7 @@ def test_ground_bends_where_the_cells_around_do() -> None:
 
 
 @pytest.mark.parametrize(("relief_m", "falls"), [(5.0, 2.0), (40.0, 2.0), (40.0, 1.5)])
-def test_the_error_of_ground_covers_what_it_says(relief_m: float, falls: float) -> None:
+def test_the_error_of_ground_covers_what_it_states(relief_m: float, falls: float) -> None:
     """Smooth and rough terrain: nine tenths or more within twice the error, and not for nothing."""
     rng = np.random.default_rng(7)
     number = np.arange(1, 200)
@@ -272,7 +272,7 @@ def test_heights_do_not_depend_on_where_the_track_is_cut(
         np.testing.assert_array_equal(values, joined, err_msg=name)
 
 
-def test_a_reference_says_nothing_of_its_wide_gaps() -> None:
+def test_a_reference_has_no_heights_in_its_wide_gaps() -> None:
     known = np.array([[0.0, 1.0], [100.0, 3.0], [101.0 + REFERENCE_GAP_M, 9.0]])
     at = np.array([-1.0, 0.0, 50.0, 100.0, 200.0, 101.0 + REFERENCE_GAP_M, 400.0])
     np.testing.assert_equal(between(at, known), [np.nan, 1.0, 2.0, 3.0, np.nan, 9.0, np.nan])

@@ -111,7 +111,7 @@ def test_refraction_is_that_of_the_paper(angle_deg: float) -> None:
     assert not refracted(np.array([-1.0, 0.0]), angle_deg).any(), "nothing moves above water"
 
 
-def test_a_run_tells_surface_floor_and_column_apart(tmp_path: Path) -> None:
+def test_a_run_separates_surface_floor_and_column(tmp_path: Path) -> None:
     track = water_track(NIGHT, length_m=2500.0)
     rows = [f"{x:.3f},{z:.3f}" for x, z in zip(track.x, track.z, strict=True)]
     (tmp_path / "photons.csv").write_text("\n".join(["along_track,height", *rows]) + "\n")

@@ -37,7 +37,7 @@ def write_atl03(path: Path, tracks: dict[str, Track]) -> Path:
             count = int(np.ceil(track.along_m.max() / SEGMENT_M)) + 1
             segment = np.minimum((track.along_m / SEGMENT_M).astype(int), count - 1)
             start = ORIGIN_M + SEGMENT_M * np.arange(count)
-            place = file.create_group(beam)
+            group = file.create_group(beam)
             heights = {
                 "h_ph": track.height_m.astype(np.float32),
                 "dist_ph_along": (track.along_m - SEGMENT_M * segment).astype(np.float32),
@@ -54,7 +54,7 @@ def write_atl03(path: Path, tracks: dict[str, Track]) -> Path:
             groups = {"heights": heights, "geolocation": geolocation}
             for name, columns in groups.items():
                 for key, values in columns.items():
-                    place.create_dataset(f"{name}/{key}", data=values)
+                    group.create_dataset(f"{name}/{key}", data=values)
     return path
 
 

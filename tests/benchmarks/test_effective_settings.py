@@ -33,7 +33,7 @@ ROWS: Mapping[str, Method] = {
     for name, method in rows.items()
 }  # fmt: skip
 KEYS = {"filter.method", "noise.correction", "afterpulse.enabled"}
-"""What every row says of itself."""
+"""What every row claims of itself."""
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def test_what_does_not_act_is_not_effective(
     assert unmet(workflow, overrides, {}) == {idle: None}
 
 
-def test_twins_are_what_the_page_says_of_them() -> None:
+def test_twins_are_what_the_page_states_of_them() -> None:
     assert TWINS["houston deep"](1).detector.afterpulse_lag_max_m == 5.0
     for name in ("easton", "lufkin", "canopy"):
         assert TWINS[name](1).detector.afterpulse_probability is None

@@ -6,7 +6,7 @@ import pytest
 from benchmarks.geiger.coincidence import accuracy
 from spl_batch.geiger.coincidence.simulate import (
     BAR_WIDTHS_M,
-    PLACES_M,
+    POSITIONS_M,
     SceneSettings,
     bars,
     build,
@@ -14,7 +14,7 @@ from spl_batch.geiger.coincidence.simulate import (
 
 
 @pytest.mark.parametrize(
-    ("place", "distance"),
+    ("point", "distance"),
     [
         ((4.0, 0.1, 2.3), 0.3),
         ((4.0, -0.1, 2.0), 0.1),
@@ -25,15 +25,15 @@ from spl_batch.geiger.coincidence.simulate import (
         ((10.0, 10.0, -0.2), 0.2),
     ],
 )
-def test_distances_from_surfaces(place: tuple[float, ...], distance: float) -> None:
+def test_distances_from_surfaces(point: tuple[float, ...], distance: float) -> None:
     scene = build(SceneSettings(targets=("spokes", "cube", "foliage")))
-    assert accuracy.distance_m(np.array([place]), scene) == pytest.approx(distance, abs=0.06)
+    assert accuracy.distance_m(np.array([point]), scene) == pytest.approx(distance, abs=0.06)
     assert accuracy.distance_m(scene.leaves[:50, :3], scene).max() == 0
 
 
 def test_tri_bars_by_known_points() -> None:
     rng, xyz = np.random.default_rng(2), []
-    for k, (width, north, plates) in enumerate(bars(PLACES_M["bars"])):
+    for k, (width, north, plates) in enumerate(bars(POSITIONS_M["bars"])):
         filled = list(plates)
         if k % 2:
             # One gap as full as the bars.
@@ -54,6 +54,6 @@ def test_what_is_seen_from_above_and_how_much_of_it_is_found() -> None:
     assert len(seen) == 900
     on_top = (np.abs(seen[:, 0] - 25) < 1) & (np.abs(seen[:, 1]) < 1)
     assert seen[:, 2] == pytest.approx(2.0 * on_top)
-    centre = np.array(PLACES_M["covered_spokes"])
+    centre = np.array(POSITIONS_M["covered_spokes"])
     assert len(accuracy.seen_from_above(scene, centre - 3, centre + 3, 0.1)) < 0.05 * 3600
     assert accuracy.completeness(seen, seen[:450] + 0.01, 0.02) == 0.5

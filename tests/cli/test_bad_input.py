@@ -37,7 +37,7 @@ def planned(workflow: Path, *options: object) -> Ended:
 
 
 def refused(ended: Ended, *words: str) -> None:
-    """Nothing was started, and one line on standard error says why."""
+    """Nothing was started, and one line on standard error gives the reason."""
     assert ended.status == 2, ended.text
     whole = ended.err.replace("\n  ", " ")  # what is too long for the screen goes on below
     lines = [x for x in whole.splitlines() if x.startswith("spl-batch: ")]
@@ -80,7 +80,7 @@ def test_a_broken_file_among_good_ones_is_named_and_mended(
     failed(ended, survey, "bad.laz")
     assert f"unusable: {bad}: " in ended.err
     report = surveys.report(survey.parent / "out")
-    assert report["counts"]["not_read"] == promised, "what a sound header says is missed"
+    assert report["counts"]["not_read"] == promised, "what a sound header counts is missed"
     ended = surveys.command("plan", survey)
     assert ended.status == 1
     assert f"unusable: {bad}: " in ended.out
@@ -200,12 +200,12 @@ def test_polygons_that_are_none_or_damaged_start_nothing(survey: Path, key: str)
     rings = bytearray(path.read_bytes())
     polygon_of_one_ring = rings.index(struct.pack("<II", 3, 1))
     struct.pack_into("<I", rings, polygon_of_one_ring + 4, 2**32 - 1)
-    for content, said in (
+    for content, message in (
         (b"no polygons", "cannot be read as shapes"),
         (bytes(rings), "feature 1: has no geometry that can be decoded: mend or delete it"),
     ):
         path.write_bytes(content)
-        refused(planned(survey, "--set", f"{key}=area.gpkg"), f"{key}: {path}: ", said)
+        refused(planned(survey, "--set", f"{key}=area.gpkg"), f"{key}: {path}: ", message)
     assert not (survey.parent / "out").exists()
 
 

@@ -52,7 +52,7 @@ def test_each_command_explains_itself(command: str) -> None:
     assert "Usage: spl-batch" in ended.out
     for parameter in cli.commands[command].params if command else ():
         if isinstance(parameter, click.Option):
-            assert parameter.help, f"{command}: {parameter.name} says nothing about itself"
+            assert parameter.help, f"{command}: {parameter.name} has no help"
             assert parameter.opts[0] in ended.out
 
 
@@ -162,7 +162,7 @@ def test_what_is_no_address_is_refused_where_nothing_is_left_to_do(
     assert f"--scheduler {address}: write tcp://HOST:PORT" in ended.err
 
 
-def test_plan_says_what_a_run_would_do(small_lines: Path, tmp_path: Path) -> None:
+def test_plan_reports_what_a_run_would_do(small_lines: Path, tmp_path: Path) -> None:
     workflow = surveys.copy_of(small_lines, tmp_path)
     ended = surveys.command("plan", workflow)
     assert ended.status == 0

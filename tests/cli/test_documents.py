@@ -46,7 +46,7 @@ def test_faults_and_errors_are_in_the_document(small: Path, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_a_shell_is_told_how_to_complete(shell: str) -> None:
+def test_a_shell_learns_to_complete(shell: str) -> None:
     ended = surveys.command("completion", shell)
     assert ended.status == 0
     assert f"_SPL_BATCH_COMPLETE={shell}_complete" in ended.out

@@ -25,8 +25,8 @@ def test_a_granule_and_what_belongs_to_it_are_found(tmp_path: Path) -> None:
     assert content["kind"] == "altimetry"
     assert content["track"]["photons"] == "data/a.h5"
     assert content["reference"] == {"labels": "labels.h5"}
-    for said in ("beams gt1r, gt2l", "left out: ", "broken.h5", "unknown: points: ground.csv"):
-        assert said in ended.out.replace("\n  ", " "), said
+    for line in ("beams gt1r, gt2l", "left out: ", "broken.h5", "unknown: points: ground.csv"):
+        assert line in ended.out.replace("\n  ", " "), line
     assert not api.plan(tmp_path / "workflow.yaml").faults
 
 

@@ -79,7 +79,7 @@ def hostile(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, surveys.End
             plain_path.write_bytes(content)
         plain_path.rename(folder / "lines" / name)
     (folder / "lines" / "bad\x1b[1m<b>.laz").write_bytes(b"junk")
-    os.rename(  # noqa: PTH104 - bytes, as no text can say it
+    os.rename(  # noqa: PTH104 - bytes, as no text can name it
         surveys.write_cloud(folder / "lines" / "b.laz", surveys.flightline(shots=8)),
         os.fsencode(folder) + b"/lines/bad\xff\xfe.laz",
     )

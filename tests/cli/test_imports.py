@@ -34,7 +34,7 @@ except SystemExit as end:
 
 
 def python(code: str, *arguments: object) -> str:
-    found = subprocess.run(  # noqa: S603 - what stands here
+    found = subprocess.run(  # noqa: S603 - the text above
         [sys.executable, "-c", code, *map(str, arguments)],
         capture_output=True,
         text=True,
@@ -50,10 +50,10 @@ def test_a_filter_run_needs_nothing_of_reports_and_other_receivers(
 ) -> None:
     line = small_lines.parent / "lines" / "line_1.laz"
     known = [f"--set=acquisition.prf_hz={surveys.PRF_HZ}", "--set=acquisition.gate_m=60"]
-    said = python(
+    output = python(
         WITHOUT, " ".join(FOREIGN), "denoise", line, tmp_path / "o.laz", "--workers", 0, *known
     )
-    assert "ended with 0 loaded []" in said, said
+    assert "ended with 0 loaded []" in output, output
     assert (tmp_path / "o.laz").exists()
 
 
@@ -65,10 +65,10 @@ def test_a_receiver_names_the_package_that_it_lacks(
     tmp_path: Path, verb: str, file: str, extra: str
 ) -> None:
     options = [tmp_path / "out"] if verb == "simulate" else []
-    said = python(WITHOUT, "h5py", verb, Path(__file__).parents[2] / "workflows" / file, *options)
-    assert "need the package h5py, which is not installed; " in said
-    assert f"pip install 'spl-batch[{extra}]'" in said
-    assert "ended with 2" in said
+    output = python(WITHOUT, "h5py", verb, Path(__file__).parents[2] / "workflows" / file, *options)
+    assert "need the package h5py, which is not installed; " in output
+    assert f"pip install 'spl-batch[{extra}]'" in output
+    assert "ended with 2" in output
 
 
 @pytest.mark.parametrize("verb", ["plan", "run"])

@@ -31,17 +31,17 @@ CONTEXT = RunContext(WORKFLOW, Path(), Path(), "", "code", "of this run")
 
 
 class Watcher:
-    """Notes which tasks begin, and what is told of workers."""
+    """Notes which tasks begin, and what is reported of workers."""
 
     def __init__(self) -> None:
         self.began: list[tuple[str, str]] = []
-        self.told: list[object] = []
+        self.reported: list[object] = []
 
     def started(self, task: Task, worker: str) -> None:
         self.began.append((task.name, worker))
 
     def notify(self, event: object) -> None:
-        self.told.append(event)
+        self.reported.append(event)
 
 
 @pytest.fixture
@@ -121,7 +121,7 @@ def test_a_failure_is_tried_once_more(
     assert {name for name, _ in watcher.began} == {one.task.name for one in jobs(8)}
 
 
-def test_the_first_task_of_a_batch_is_told_whatever_the_clock_says(
+def test_the_first_task_of_a_batch_is_reported_whatever_the_clock_shows(
     threads: LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(job, "time", SimpleNamespace(monotonic=lambda: 0.0))
@@ -311,7 +311,7 @@ def test_workers_are_started_where_something_is_to_be_done(pool: Any) -> None:
         started.begin()
     with pool(idle):
         pass
-    assert (busy.told, idle.told) == ([WorkersReady()], [])
+    assert (busy.reported, idle.reported) == ([WorkersReady()], [])
 
 
 def test_a_task_that_has_no_answer_is_still_heard_of(pool: Any) -> None:

@@ -76,9 +76,9 @@ def test_a_place_is_in_the_sentence() -> None:
     assert one.place == (10.2, 20.0, 30.0, 40.0)
     assert "x 10 to 30 and y 20 to 40 m" in one.sentence
     foot = Units("foot", 0.3048, "foot", 0.3048)
-    places = (304.8, 609.6, 304.8, 609.6)
-    (one,) = reported([Finding("I06", {"what": "odd"}, place=places)], units=foot)
-    assert one.place == places
+    box = (304.8, 609.6, 304.8, 609.6)
+    (one,) = reported([Finding("I06", {"what": "odd"}, place=box)], units=foot)
+    assert one.place == box
     assert one.sentence.endswith("x 1 000 to 1 000 and y 2 000 to 2 000 ft")
 
 

@@ -65,22 +65,22 @@ def test_keys_that_clash_are_refused() -> None:
         check_keys([File("a", 1), File("b", 1)])
 
 
-def test_results_of_files_of_one_name_are_told_apart() -> None:
+def test_results_of_files_of_one_name_are_distinguished() -> None:
     files = [File("a/x/f.h5", 1), File("b/x/f.h5", 2), File("g.h5", 3)]
     assert stem_names(files) == {1: "f_1", 2: "f_2", 3: "g"}
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "fault_text"),
     [
         ("moon", "survey.crs: 'moon' is not a known CRS"),
         ("EPSG:4326", "is geographic (degrees)"),
         ("EPSG:2277", "US survey feet"),
     ],
 )
-def test_a_crs_that_does_not_serve_is_one_fault_among_others(text: str, says: str) -> None:
+def test_a_crs_that_does_not_serve_is_one_fault_among_others(text: str, fault_text: str) -> None:
     faults = ["survey.frames: nothing matches"]
     projected_crs(text, "survey.crs", faults)
     assert len(faults) > 1
     assert all(fault.startswith("survey.crs: ") for fault in faults[1:])
-    assert says in faults[1]
+    assert fault_text in faults[1]

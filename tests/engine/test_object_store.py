@@ -117,19 +117,19 @@ def test_results_are_those_of_a_local_store(
 
 
 def test_a_store_belongs_to_one_output(survey: Path) -> None:
-    place = "outputs.store=memory://shared"
-    surveys.run(survey, place, until="index")
+    store = "outputs.store=memory://shared"
+    surveys.run(survey, store, until="index")
     other = surveys.copy_of(survey, survey.parent / "other")
     for options in ({}, {"fresh": True}):
         with pytest.raises(WorkflowError) as caught:
-            surveys.run(other, place, until="index", **options)
+            surveys.run(other, store, until="index", **options)
         assert f"is the store of another output, {survey.parent / 'out'} (host" in str(caught.value)
         assert "name another one, or delete what is there" in str(caught.value)
-    assert surveys.run(survey, place, until="index", fresh=True).exit_status == 0
+    assert surveys.run(survey, store, until="index", fresh=True).exit_status == 0
     with pytest.raises(WorkflowError, match="another output"):
-        surveys.run(other, place, until="index")
+        surveys.run(other, store, until="index")
     fsspec.filesystem("memory").rm("/shared", recursive=True)
-    assert surveys.run(other, place, until="index").exit_status == 0
+    assert surveys.run(other, store, until="index").exit_status == 0
 
 
 def test_a_store_that_is_not_there_stops_the_run(

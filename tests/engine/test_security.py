@@ -55,9 +55,9 @@ def test_local_workers_listen_on_loopback_alone() -> None:
 
 @contextlib.contextmanager
 def started(folder: Path, name: str, *command: str) -> Iterator[Path]:
-    """A process of dask's own with the page's settings; the file that holds what it says."""
-    said = folder / f"{name}.txt"
-    with said.open("wb") as stream:
+    """A process of dask's own with the page's settings; the file that holds what it prints."""
+    output = folder / f"{name}.txt"
+    with output.open("wb") as stream:
         process = subprocess.Popen(  # noqa: S603
             [sys.executable, "-m", "dask", *command],
             cwd=folder,
@@ -66,7 +66,7 @@ def started(folder: Path, name: str, *command: str) -> Iterator[Path]:
             stderr=stream,
         )
     try:
-        yield said
+        yield output
     finally:
         process.kill()
         process.wait()
@@ -90,16 +90,16 @@ def test_the_example_of_a_cluster_with_tls_works(
     (tmp_path / "dask/tls.yaml").write_text(yaml.safe_dump(settings))
     surveys.write_cloud(tmp_path / "lines/1.laz", surveys.flightline(shots=25))
     workflow = surveys.write_workflow(tmp_path)
-    place = tmp_path / "scheduler.json"
+    scheduler_file = tmp_path / "scheduler.json"
     scheduler = ("scheduler", "--protocol", "tls", "--host", "127.0.0.1", "--port", "0")
-    worker = ("worker", "--scheduler-file", str(place), "--nthreads", "1", "--no-nanny")
+    worker = ("worker", "--scheduler-file", str(scheduler_file), "--nthreads", "1", "--no-nanny")
     common = ("--no-dashboard",)
     with (
-        started(tmp_path, "s", *scheduler, "--scheduler-file", str(place), *common),
-        started(tmp_path, "w", *worker, *common) as said,
+        started(tmp_path, "s", *scheduler, "--scheduler-file", str(scheduler_file), *common),
+        started(tmp_path, "w", *worker, *common) as output,
     ):
-        clusters.wait_until(lambda: "Registered to" in said.read_text())
-        address = json.loads(place.read_text())["address"]
+        clusters.wait_until(lambda: "Registered to" in output.read_text())
+        address = json.loads(scheduler_file.read_text())["address"]
         assert address.startswith("tls://127.0.0.1:")
         with dask.config.set(dask.config.merge(distributed.config, settings)):
             ended = surveys.command(

@@ -184,7 +184,7 @@ def test_a_screen_has_stages_failures_and_who_works() -> None:
 # The lock
 
 
-def test_the_lock_says_who_has_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_lock_names_who_has_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("spl_batch.engine.store.output_lock.PATIENCE_S", 0.1)
     assert holder(tmp_path) is None
     with locked(tmp_path) as content:

@@ -128,7 +128,7 @@ def test_content_is_on_disk_before_its_name_and_the_name_before_the_end(
     steps.clear()
     with replacing(tmp_path / "store" / "file.bin", durable=False) as temporary:
         temporary.write_bytes(b"content")
-    assert steps == ["rename"], "what tells by itself that it is damaged does not wait for the disk"
+    assert steps == ["rename"], "what shows by itself that it is damaged does not wait for the disk"
 
 
 def test_only_what_is_unfinished_and_ours_is_swept_away(tmp_path: Path) -> None:

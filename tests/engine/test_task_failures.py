@@ -33,7 +33,7 @@ class ForeignError(BaseException):
 
 
 class SpeechlessError(Exception):
-    """One that cannot tell what it is."""
+    """One that cannot name itself."""
 
     def __str__(self) -> str:
         """Fail."""
@@ -110,7 +110,7 @@ def test_a_fault_is_a_receipt(
         assert "Traceback" in receipt.facts["traceback"]
 
 
-def test_what_had_too_little_memory_is_told_what_makes_it_lighter() -> None:
+def test_what_had_too_little_memory_names_what_makes_it_lighter() -> None:
     task = Task("ground", "0_0", {}, (("denoise", "0_1"),))
     receipt = Receipt("ground", "0_0", "", "", "OutOfMemory", {}, {"code": "F02"}, 0, 0.0, 0.0)
     inputs = SimpleNamespace(bad=(InputError("a.laz", "is cut off"),), sources=())

@@ -1,4 +1,4 @@
-"""What is made ready beside a run: tasks wait for their own step, and a fault is told."""
+"""What is made ready beside a run: tasks wait for their own step, and a fault is reported."""
 
 import sys
 import time
@@ -42,9 +42,9 @@ def two(folder: Path, first: list[str], second: list[str]) -> WarmUp:
 
 
 def test_tasks_wait_for_their_own_step_alone(tmp_path: Path) -> None:
-    told: list[Event] = []
+    events: list[Event] = []
     one = two(tmp_path, ["0 2 0 1", "2 2 2 2"], ["0 2 0 0", "0 2 0 1", "wait", "2 2 1 2"])
-    one.begin(told.append)
+    one.begin(events.append)
     one.wait_for("report")  # for which nothing is made ready
     one.wait_for("index")
     (tmp_path / "go").touch()
@@ -52,44 +52,44 @@ def test_tasks_wait_for_their_own_step_alone(tmp_path: Path) -> None:
     one.finish()
     assert one.made == 3
     assert one.waited_s
-    assert (told[0], told[-1]) == (Note("info", "compiling"), Compiling(4, 4))
-    assert {event.of for event in told[1:] if isinstance(event, Compiling)} == {4}, "no growth"
+    assert (events[0], events[-1]) == (Note("info", "compiling"), Compiling(4, 4))
+    assert {event.of for event in events[1:] if isinstance(event, Compiling)} == {4}, "no growth"
     assert one.mark.exists()
-    one.begin(told.append)
+    one.begin(events.append)
     one.wait_for("denoise")
     assert (one.made, one.waited_s) == (0, None), "nobody waits for what is ready"
 
 
-def test_what_finds_all_ready_says_nothing(tmp_path: Path) -> None:
-    told: list[Event] = []
+def test_what_finds_all_ready_reports_nothing(tmp_path: Path) -> None:
+    events: list[Event] = []
     one = two(tmp_path, ["0 2 0 1", "2 2 0 2"], ["2 2 0 2"])
-    one.begin(told.append)
+    one.begin(events.append)
     one.wait_for("denoise")
     one.finish()
-    assert (told, one.waited_s, one.mark.exists()) == ([], None, True)
+    assert (events, one.waited_s, one.mark.exists()) == ([], None, True)
 
 
-def test_a_fault_is_told_and_the_tasks_begin(tmp_path: Path) -> None:
-    told: list[Event] = []
+def test_a_fault_is_reported_and_the_tasks_begin(tmp_path: Path) -> None:
+    events: list[Event] = []
     one = two(tmp_path, ["wrong"], ["0 2 0 1", "2 2 1 2"])
-    one.begin(told.append)
+    one.begin(events.append)
     one.wait_for("denoise")
     one.finish()
-    assert Note("info", "compiling: wrong") in told
+    assert Note("info", "compiling: wrong") in events
     assert not one.mark.exists()
 
 
 def test_processes_that_are_ended_begin_again(tmp_path: Path) -> None:
-    told: list[Event] = []
+    events: list[Event] = []
     one = two(tmp_path, ["0 2 0 0", "wait"], ["0 2 0 0", "wait"])
-    one.begin(told.append)
-    one.begin(told.append)
+    one.begin(events.append)
+    one.begin(events.append)
     begin_s = time.monotonic()
     one.end()
     assert time.monotonic() - begin_s < 0.5 * warm_up.PATIENCE_S, "they were killed"
-    assert (told, one.mark.exists()) == ([], False)
+    assert (events, one.mark.exists()) == ([], False)
     (tmp_path / "go").touch()
-    one.begin(told.append)
+    one.begin(events.append)
     one.finish()
     assert one.mark.exists()
 
@@ -98,27 +98,27 @@ def test_a_process_that_hangs_is_waited_for_once_and_one_that_dies_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(warm_up, "PATIENCE_S", 1.0)
-    told: list[Event] = []
+    events: list[Event] = []
     one = two(tmp_path, ["0 2 0 0", "wait"], ["0 2 0 0", "wait"])
     begin_s = time.monotonic()
-    one.begin(told.append)
+    one.begin(events.append)
     for _ in range(5):
         one.wait_for("index")
     assert time.monotonic() - begin_s < 3.0
     one._shares[0].child.kill()
     monkeypatch.setattr(one, "_deadline_s", time.monotonic() + 20.0)
     one._wait(lambda share: share.heard or share is one._shares[1])
-    assert told == [Note("info", "compiling: ended by signal 9")]
+    assert events == [Note("info", "compiling: ended by signal 9")]
     one.end()
 
 
 def test_what_cannot_be_started_is_left_to_the_tasks(tmp_path: Path) -> None:
-    told: list[Event] = []
+    events: list[Event] = []
     one = WarmUp(lambda *_: [str(tmp_path / "none")], ["index"], "compiling", tmp_path / "a-b.x", 2)
-    one.begin(told.append)
+    one.begin(events.append)
     one.wait_for("index")
     one.end()
-    assert [type(event) for event in told] == [Note]
+    assert [type(event) for event in events] == [Note]
 
 
 def test_marks_of_other_code_go(tmp_path: Path) -> None:

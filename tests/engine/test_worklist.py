@@ -197,9 +197,9 @@ def test_only_the_unit_that_cannot_fit_is_refused() -> None:
         known.of("build_tile").put(receipt("build_tile", name, **tile))
     for kind in ("denoise", "ground", "surface"):
         refused = {task.name: task.refused for task in STEPS[kind].planned(known)}
-        told = [text for text in refused.values() if text]
-        assert 0 < len(told) < len(refused), kind
-        assert all("--memory 1 024 MiB" in text and "lower" in text for text in told)
+        reasons = [text for text in refused.values() if text]
+        assert 0 < len(reasons) < len(refused), kind
+        assert all("--memory 1 024 MiB" in text and "lower" in text for text in reasons)
         for name in refused:
             known.of(kind).put(receipt(kind, name))
 
@@ -221,15 +221,15 @@ def test_a_surface_cell_of_many_raster_cells_asks_for_larger_ones() -> None:
         assert surface.remedy == remedy
 
 
-def test_the_fullest_place_is_named_in_the_unit_of_the_survey() -> None:
+def test_the_fullest_cell_is_named_in_the_unit_of_the_survey() -> None:
     pieces = list(from_counts({CellId(3, 5): 10**6}, 100_000))
     foot = Units("foot", FOOT_M, "foot", FOOT_M)
-    for units, place in (
+    for units, located in (
         (METRES, "tile around x 350, y 550 with"),
         (foot, "tile around x 1148, y 1804 ft (x 350, y 550 m) with"),
     ):
         found = needs(pieces, WORKFLOW, [10**6], 1, units=units)
-        assert any(place in one.task for one in found), found
+        assert any(located in one.task for one in found), found
 
 
 def test_a_tile_needs_what_its_task_is_given() -> None:
@@ -254,9 +254,9 @@ def test_the_speed_of_a_stage_counts_each_point_once() -> None:
     cost = StageCost()
     for kind, wall_s in (("scatter", 18.0), ("build_tile", 12.0)):
         cost.add(Receipt(kind, "a", "", "", "", {}, {}, 120, wall_s, 9.0))
-    told = performance(RunFacts(60.0, 2, {"shuffle": cost}), 120)
-    assert told.stages["shuffle"].points_per_s == 4.0
-    assert told.points_per_s == 2.0
+    summary = performance(RunFacts(60.0, 2, {"shuffle": cost}), 120)
+    assert summary.stages["shuffle"].points_per_s == 4.0
+    assert summary.points_per_s == 2.0
 
 
 def test_a_plan_counts_what_many_small_files_take_beside_their_points() -> None:

@@ -23,9 +23,9 @@ def read(path: Path, text: str, **how: object) -> tuple[list, list[str]]:
 def test_a_csv_is_read_as_it_stands(tmp_path: Path) -> None:
     text = HEAD + "A,272000.5,3290001.25,20.125,open,0.02\nB,272003,3290004,21,Vegetated,\n"
     found, remarks = read(tmp_path / "c.csv", text)
-    (said,) = remarks
-    assert said.startswith("1 checkpoint states no accuracy_m, without which")
-    assert said.endswith(": B")
+    (remark,) = remarks
+    assert remark.startswith("1 checkpoint states no accuracy_m, without which")
+    assert remark.endswith(": B")
     assert (found[0].id, found[0].x_m, found[0].y_m, found[0].z_m) == (
         *("A", 272000.5, 3290001.25, 20.125),
     )
@@ -54,7 +54,7 @@ def test_faults_are_one_line_each_and_the_rest_is_used(tmp_path: Path) -> None:
     text = HEAD + (
         "A,1,2,3,open,0.02\n"
         "A,4,5,6,open,0.02\n"  # the same name
-        "B,1.001,2,3,open,0.02\n"  # the same place
+        "B,1.001,2,3,open,0.02\n"  # the same position
         "C,nan,2,3,open,0.02\n"
         "D,1,2,,open,0.02\n"
         "E,7,8,9,meadow,0.02\n"
@@ -66,7 +66,7 @@ def test_faults_are_one_line_each_and_the_rest_is_used(tmp_path: Path) -> None:
     assert sorted(remarks) == [
         "1 checkpoint is left out, as accuracy_m is no positive number of metres: G ('-1')",
         "1 checkpoint is left out, as the surface is neither open nor vegetated: E ('meadow')",
-        "2 checkpoints are left out, as an earlier one has the name or place: A, B",
+        "2 checkpoints are left out, as an earlier one has the name or position: A, B",
         "2 checkpoints are left out, as there is no single point with finite x, y and z: C, D",
     ]
 
@@ -156,12 +156,12 @@ def test_a_file_that_is_none_is_refused(tmp_path: Path, content: bytes, fault: s
 @pytest.mark.parametrize("kind", ["MultiPoint Z", "MultiPoint"])
 def test_a_row_without_a_point_or_with_several_leaves_out_itself(tmp_path: Path, kind: str) -> None:
     deep = kind.endswith("Z")
-    places = [(1, 2, 3), (11, 12, 13), (21, 22, 23)] if deep else [(1, 2), (11, 12), (21, 22)]
+    positions = [(1, 2, 3), (11, 12, 13), (21, 22, 23)] if deep else [(1, 2), (11, 12), (21, 22)]
     shapes = [
-        shapely.MultiPoint(places[:1]),
-        shapely.MultiPoint(places[1:2]),
+        shapely.MultiPoint(positions[:1]),
+        shapely.MultiPoint(positions[1:2]),
         None,
-        shapely.MultiPoint(places[1:]),
+        shapely.MultiPoint(positions[1:]),
         shapely.MultiPoint(),
     ]
     fields = {"id": list("ABCDE"), "surface": ["open"] * 5, **({} if deep else {"z": [7.0] * 5})}

@@ -94,9 +94,9 @@ def test_every_record_is_in_one_node_and_nodes_nest(spread: int) -> None:
     )
     keys = {n[:4] for n in nodes}
     assert len(keys) == len(nodes)
-    for level, *place, members in nodes:
+    for level, *octant, members in nodes:
         if level:
-            assert (level - 1, *(p >> 1 for p in place)) in keys
+            assert (level - 1, *(p >> 1 for p in octant)) in keys
         for axis, name in enumerate("XYZ"):
             relative = records[name][members].astype(np.int64) - cube.low[axis]
-            assert np.all(relative >> (cube.log2_size - level) == place[axis])
+            assert np.all(relative >> (cube.log2_size - level) == octant[axis])

@@ -1,4 +1,4 @@
-"""CRS: what suits the work, what does not, and that messages say why."""
+"""CRS: what suits the work, what does not, and that messages give the reason."""
 
 import re
 from pathlib import Path
@@ -81,13 +81,13 @@ def test_refused(text: str, words: str) -> None:
         ("EPSG:1234567", True, "is not a known CRS; write e.g. EPSG:5703"),
     ],
 )
-def test_a_key_names_places_or_heights(text: str, fault: str, *, heights: bool) -> None:
+def test_a_key_names_coordinates_or_heights(text: str, fault: str, *, heights: bool) -> None:
     with pytest.raises(WorkflowError, match=f"^key: .*{fault}"):
         parse_crs(text, "key", heights=heights)
 
 
 @pytest.mark.parametrize(
-    ("text", "place_m", "times"),
+    ("text", "point_m", "times"),
     [
         ("EPSG:32615+5703", (500_000, 5_000_000), None),
         ("EPSG:3627", (300_000, 60_000), None),
@@ -102,9 +102,9 @@ def test_a_key_names_places_or_heights(text: str, fault: str, *, heights: bool) 
     ],
 )
 def test_a_projection_that_stretches_lengths_there(
-    text: str, place_m: tuple[float, float], times: str | None
+    text: str, point_m: tuple[float, float], times: str | None
 ) -> None:
-    found = stretch_problem(CRS.from_user_input(text), [place_m, (1e30, 1e30)])
+    found = stretch_problem(CRS.from_user_input(text), [point_m, (1e30, 1e30)])
     assert [f"by {times}," in one for one in found] == [True] * (times is not None)
 
 
@@ -120,9 +120,9 @@ def test_same_crs() -> None:
 def test_the_parameter_that_differs_is_named() -> None:
     right = CRS("EPSG:2992").to_wkt("WKT1_GDAL")
     wrong = CRS(right.replace("1312335.958", "400000"))
-    said = other_crs(wrong, CRS(right))
-    assert "has other parameters than the survey's of that name" in said
-    assert "(Easting at false origin 400000 foot against 1312335.958 foot)" in said
+    message = other_crs(wrong, CRS(right))
+    assert "has other parameters than the survey's of that name" in message
+    assert "(Easting at false origin 400000 foot against 1312335.958 foot)" in message
     assert "against" not in other_crs(CRS(right), CRS("EPSG:2992"))
 
 
@@ -132,9 +132,9 @@ def test_a_named_vertical_crs_completes_that_of_the_files(tmp_path: Path) -> Non
     assert vertical(whole).to_epsg() == 5703
     assert same_crs(whole, flat)
     assert with_vertical(whole, "EPSG:5703", "key") is whole
-    place = {"origin_xy_m": (272_000.0, 3_290_000.0), "cell_m": 1.0, "description": "height"}
+    layout = {"origin_xy_m": (272_000.0, 3_290_000.0), "cell_m": 1.0, "description": "height"}
     values = np.ones((3, 4), np.float32)
-    write_cog(tmp_path / "a.tif", values, shape=(3, 4), crs=whole.to_wkt(), **place)  # type: ignore[arg-type]
+    write_cog(tmp_path / "a.tif", values, shape=(3, 4), crs=whole.to_wkt(), **layout)  # type: ignore[arg-type]
     with rasterio.open(tmp_path / "a.tif") as source:
         read = CRS.from_wkt(source.crs.to_wkt())
     assert vertical(read).to_epsg() == 5703
@@ -354,8 +354,8 @@ def test_a_user_states_what_a_file_leaves_open(found: str, stated, wanted: str) 
     ],
 )
 def test_heights_are_no_ones_to_guess(found: str, survey: str, fault: str) -> None:
-    said = heights_fault(CRS(found), CRS(survey), "remedy")
-    assert re.search(fault, said) if fault else not said
+    message = heights_fault(CRS(found), CRS(survey), "remedy")
+    assert re.search(fault, message) if fault else not message
 
 
 def test_heights_with_the_grid_of_a_geoid_are_those_of_their_datum() -> None:

@@ -76,8 +76,8 @@ def test_a_chunk_that_is_no_chunk_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.h5"
     with h5py.File(path, "w") as file:
         for name in ("delta_time", "elev", "latitude", "longitude"):
-            place = f"photon/channel001/{name}"
-            file.create_dataset(place, (10,), "f8", chunks=(2**27,), maxshape=(None,))
+            dataset = f"photon/channel001/{name}"
+            file.create_dataset(dataset, (10,), "f8", chunks=(2**27,), maxshape=(None,))
     with pytest.raises(InputError, match="bytes of a chunk"):
         inspect_track(path)
 
@@ -118,8 +118,8 @@ def test_a_parquet_bomb_is_refused_by_its_size(
 def test_a_raster_of_one_block_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.tif"
     profile = {"driver": "GTiff", "height": 9000, "width": 9000, "count": 1, "dtype": "float32"}
-    place = {"crs": "EPSG:4326", "transform": Affine(1e-3, 0, 0, 0, -1e-3, 0), "sparse_ok": True}
-    with rasterio.open(path, "w", blockysize=9000, compress="deflate", **profile, **place):
+    layout = {"crs": "EPSG:4326", "transform": Affine(1e-3, 0, 0, 0, -1e-3, 0), "sparse_ok": True}
+    with rasterio.open(path, "w", blockysize=9000, compress="deflate", **profile, **layout):
         pass
     with pytest.raises(InputError, match="bytes of a block"):
         sample_terrain(path, np.zeros(3), np.zeros(3))

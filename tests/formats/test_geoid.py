@@ -60,7 +60,7 @@ def test_heights_of_which_the_unit_alone_is_known_may_be_above_the_ellipsoid(
 
 
 @pytest.mark.parametrize("grid", ["nowhere.gtx", "@nowhere.gtx", "a.gtx,b.gtx", "broken.gtx"])
-def test_a_grid_that_is_not_there_is_told(tmp_path: Path, grid: str) -> None:
+def test_a_grid_that_is_not_there_is_named(tmp_path: Path, grid: str) -> None:
     (tmp_path / "broken.gtx").write_bytes(b"no grid")
     with pytest.raises(WorkflowError, match=r"outputs\.geoid\.grid: .*gtx is no"):
         Geoid(grid, tmp_path / grid, UTM)

@@ -61,7 +61,7 @@ def test_round_trip(
     assert_same(read_table(path, ("z", "x")), table.select(("z", "x")))
 
 
-def test_footers_tell_the_range_of_each_group(tmp_path: Path) -> None:
+def test_footers_have_the_range_of_each_group(tmp_path: Path) -> None:
     path = tmp_path / "t.parquet"
     with writing(path, {"row": np.uint32, "gps_time": np.float64}) as writer:
         for a, b in ((5, 9), (-3, -3)):

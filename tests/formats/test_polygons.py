@@ -91,10 +91,10 @@ def test_realisations_of_a_datum_keep_their_degrees_without_a_grid(
     name = tmp_path / f"{own[5:]}.gpkg"
     area, exact = (read_polygons(path, survey) for path in (name, tmp_path / f"{wanted[5:]}.gpkg"))
     assert area.symmetric_difference(exact).area < 1e-3 * area.length
-    told = shapes_keep_degrees(name, survey)
-    assert len(told) == bool(accuracy)
-    assert all(f"accurate to {accuracy} by EPSG, as PROJ lacks" in text for text in told)
-    assert all("pyproj sync --file us_noaa" in text for text in told)
+    remarks = shapes_keep_degrees(name, survey)
+    assert len(remarks) == bool(accuracy)
+    assert all(f"accurate to {accuracy} by EPSG, as PROJ lacks" in text for text in remarks)
+    assert all("pyproj sync --file us_noaa" in text for text in remarks)
 
 
 def test_points_beside_polygons_are_not_asked_for_their_degrees(tmp_path: Path) -> None:
@@ -206,9 +206,9 @@ DAMAGED = {
 def test_a_damaged_shape_among_sound_ones_is_refused_by_its_number(
     tmp_path: Path, case: str, read: Callable[[Path, CRS], Any]
 ) -> None:
-    make, said = DAMAGED[case]
+    make, message = DAMAGED[case]
     with pytest.raises(InputError) as caught:
         read(make(tmp_path / "a.gpkg"), UTM)
     assert str(caught.value).startswith(str(tmp_path / "a.gpkg"))
     if case != "without an area" or read is check_polygons:
-        assert said in str(caught.value)
+        assert message in str(caught.value)

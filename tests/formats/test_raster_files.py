@@ -13,7 +13,7 @@ from spl_batch.errors import InputError
 from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds
 
-PLACE = {"origin_xy_m": (500_000.0, 4_000_000.0), "cell_m": 0.5, "description": "dtm", "unit": "m"}
+LAYOUT = {"origin_xy_m": (500_000.0, 4_000_000.0), "cell_m": 0.5, "description": "dtm", "unit": "m"}
 
 
 def sample(rows, cols):
@@ -22,10 +22,10 @@ def sample(rows, cols):
     return values
 
 
-def test_a_cog_has_the_layout_values_and_place(tmp_path):
+def test_a_cog_has_the_layout_values_and_transform(tmp_path):
     values = sample(700, 600)
     path = tmp_path / "deep" / "dtm.tif"
-    write_cog(path, values, shape=values.shape, crs="EPSG:32615", **PLACE)
+    write_cog(path, values, shape=values.shape, crs="EPSG:32615", **LAYOUT)
     with rasterio.open(path) as source:
         np.testing.assert_array_equal(source.read(1), values)
         assert tuple(source.transform)[:6] == (0.5, 0, 500_000, 0, -0.5, 4_000_000)
@@ -49,7 +49,7 @@ def test_a_cog_has_the_layout_values_and_place(tmp_path):
 @pytest.mark.parametrize("shape", [(1, 1), (2, 3), (200, 200)])
 def test_small_rasters_have_an_overview_too(tmp_path, shape):
     path = tmp_path / "a.tif"
-    write_cog(path, np.ones(shape, np.float32), shape=shape, crs=None, **PLACE)
+    write_cog(path, np.ones(shape, np.float32), shape=shape, crs=None, **LAYOUT)
     with rasterio.open(path) as source:
         assert len(source.overviews(1)) == 1
         assert source.crs is None
@@ -59,18 +59,18 @@ def test_small_rasters_have_an_overview_too(tmp_path, shape):
 def test_pieces_in_any_order_give_the_same_bytes(tmp_path):
     values = sample(300, 500)
     whole, pieces = tmp_path / "whole.tif", tmp_path / "pieces.tif"
-    write_cog(whole, values, shape=values.shape, crs="EPSG:32615", **PLACE)
-    places = [(r, c) for r in range(0, 300, 70) for c in range(0, 500, 70)]
-    np.random.default_rng(0).shuffle(places)
-    blocks = ((r, c, values[r : r + 70, c : c + 70]) for r, c in places)
-    write_cog(pieces, blocks, shape=values.shape, crs="EPSG:32615", **PLACE)
+    write_cog(whole, values, shape=values.shape, crs="EPSG:32615", **LAYOUT)
+    corners = [(r, c) for r in range(0, 300, 70) for c in range(0, 500, 70)]
+    np.random.default_rng(0).shuffle(corners)
+    blocks = ((r, c, values[r : r + 70, c : c + 70]) for r, c in corners)
+    write_cog(pieces, blocks, shape=values.shape, crs="EPSG:32615", **LAYOUT)
     assert whole.read_bytes() == pieces.read_bytes()
 
 
 def test_what_no_piece_covers_is_nodata(tmp_path):
     path = tmp_path / "a.tif"
     blocks = [(5, 7, np.ones((2, 2), np.float32))]
-    write_cog(path, blocks, shape=(20, 20), crs=None, **PLACE)
+    write_cog(path, blocks, shape=(20, 20), crs=None, **LAYOUT)
     with rasterio.open(path) as source:
         values = source.read(1)
     assert (values[5:7, 7:9] == 1).all()
@@ -79,10 +79,10 @@ def test_what_no_piece_covers_is_nodata(tmp_path):
 
 def test_a_crs_that_nobody_knows_is_named(tmp_path):
     with pytest.raises(InputError, match="EPSG:1234567"):
-        write_cog(tmp_path / "a", np.ones((2, 2)), shape=(2, 2), crs="EPSG:1234567", **PLACE)
+        write_cog(tmp_path / "a", np.ones((2, 2)), shape=(2, 2), crs="EPSG:1234567", **LAYOUT)
 
 
-def test_a_cell_comes_back_in_its_place(tmp_path):
+def test_a_cell_comes_back_at_its_position(tmp_path):
     store, values = Store(tmp_path), sample(10, 10)
     for cell in (CellId(-3, 5), CellId(40_000, 600_000)):
         around = cell_bounds(cell, 10_000)
@@ -96,9 +96,9 @@ def test_a_cell_comes_back_in_its_place(tmp_path):
 
 @given(st.lists(st.tuples(st.integers(-3, 3), st.integers(-3, 3)), unique=True, max_size=8))
 @settings(max_examples=10, deadline=None)
-def test_a_mosaic_of_cells_equals_the_window(tmp_path_factory, places):
+def test_a_mosaic_of_cells_equals_the_window(tmp_path_factory, corners):
     store = Store(tmp_path_factory.mktemp("store"))
-    cells = [CellId(*place) for place in places]
+    cells = [CellId(*corner) for corner in corners]
     for k, cell in enumerate(cells):
         values = np.full((3, 3), k, np.float32)
         write_cell(store, str(cell), cell_bounds(cell, 3000), {"dtm": values})
@@ -107,7 +107,7 @@ def test_a_mosaic_of_cells_equals_the_window(tmp_path_factory, places):
     for row, col, block in stored_blocks(store, "dtm", map(str, cells), bounds):
         mosaic[row : row + block.shape[0], col : col + block.shape[1]] = block
     expected = np.full((21, 21), NODATA, np.float32)  # of the squares from -3 to 3
-    for k, (i, j) in enumerate(places):
+    for k, (i, j) in enumerate(corners):
         row, col = 3 * (3 - j), 3 * (i + 3)
         expected[row : row + 3, col : col + 3] = k
     np.testing.assert_array_equal(mosaic, expected[8:17, 2:17])
@@ -117,8 +117,8 @@ def test_a_raster_knows_its_statistics_whatever_the_order_of_its_pieces(tmp_path
     values = np.random.default_rng(4).normal(300, 20, (40, 60)).astype(np.float32)
     values[3:9, 5:20] = NODATA
     pieces = [(0, 0, values[:, :25]), (0, 25, values[:, 25:])]
-    write_cog(tmp_path / "a.tif", pieces, shape=values.shape, crs=None, **PLACE)
-    write_cog(tmp_path / "b.tif", pieces[::-1], shape=values.shape, crs=None, **PLACE)
+    write_cog(tmp_path / "a.tif", pieces, shape=values.shape, crs=None, **LAYOUT)
+    write_cog(tmp_path / "b.tif", pieces[::-1], shape=values.shape, crs=None, **LAYOUT)
     assert (tmp_path / "a.tif").read_bytes() == (tmp_path / "b.tif").read_bytes()
     with rasterio.open(tmp_path / "a.tif") as source:
         tags = source.tags(1)

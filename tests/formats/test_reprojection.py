@@ -1,4 +1,4 @@
-"""Clouds and rasters in another CRS or unit: places by PROJ or an exact factor, heights too."""
+"""Clouds and rasters in another CRS or unit: by PROJ or an exact factor, heights too."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -47,9 +47,9 @@ def test_another_unit_is_an_exact_factor_that_every_file_states(
     assert made == Units(NAMES[unit], COMMON[NAMES[unit]], NAMES[unit], COMMON[NAMES[unit]])
     assert there.moves_points == (made != own)
     low, high = (1_600_000.0, 5_200_000.0, -50.0), (1_700_000.0, 5_300_000.0, 900.0)
-    places = np.random.default_rng(1).uniform(low, high, (100, 3))
+    points = np.random.default_rng(1).uniform(low, high, (100, 3))
     factor = np.divide(own.xyz_m, made.xyz_m)
-    np.testing.assert_array_equal(there.places(places), places * factor)
+    np.testing.assert_array_equal(there.coordinates(points), points * factor)
     cell = one_cell(tmp_path / "dtm", there.crs.to_wkt())
     assert Units.of(cell.crs) == made
     assert cell.unit == (made.vertical if made.vertical_m != 1.0 else "m")
@@ -112,20 +112,20 @@ def test_heights_above_the_ellipsoid_are_so_in_a_crs_that_names_none(
     assert is_above_ellipsoid(there.crs)
     assert Units.of(there.crs).vertical == NAMES[unit or "m"]
     x, y = Transformer.from_crs("EPSG:6344", survey, always_xy=True).transform(5e5, 3.3e6)
-    ((_, _, z),) = there.places(np.array([[x, y, 100.0]]))
+    ((_, _, z),) = there.coordinates(np.array([[x, y, 100.0]]))
     assert z == pytest.approx(height, abs=2e-4)
     assert header_names_ellipsoid(tmp_path, there)
 
 
 def test_heights_above_the_ellipsoid_of_another_datum_are_transformed() -> None:
     there = Reprojection(CRS("EPSG:28355").to_3d(), "EPSG:7855")
-    place = np.array([[500_000.0, 6_000_000.0, 100.0]])
+    point = np.array([[500_000.0, 6_000_000.0, 100.0]])
     ends = CRS("EPSG:4939"), CRS("EPSG:7843")  # GDA94 and GDA2020, moved and turned
     degrees = Transformer.from_crs("EPSG:28355", ends[0], always_xy=True)
-    x, y = degrees.transform(*place[0, :2])
+    x, y = degrees.transform(*point[0, :2])
     *_, height = Transformer.from_crs(*ends, always_xy=True).transform(x, y, 100.0)
     assert abs(height - 100.0) > 0.05
-    assert there.places(place)[0, 2] == pytest.approx(height, abs=1e-4)
+    assert there.coordinates(point)[0, 2] == pytest.approx(height, abs=1e-4)
 
 
 @pytest.fixture
@@ -159,13 +159,13 @@ def in_texas(height: float) -> np.ndarray:
 def test_heights_above_the_ellipsoid_are_transformed_to_those_of_a_geoid(
     undulation: float, unit: str
 ) -> None:
-    survey, place = above_ellipsoid(CRS("EPSG:6588"), US_FOOT), in_texas(100.0)
+    survey, point = above_ellipsoid(CRS("EPSG:6588"), US_FOOT), in_texas(100.0)
     there = Reprojection(survey, "EPSG:6588+6360", unit)
-    there.check(place)
+    there.check(point)
     made_m = COMMON[NAMES[unit]]
     assert vertical(there.crs).datum.name == "North American Vertical Datum 1988"
-    ((x, y, z),) = there.places(place) * made_m
-    np.testing.assert_allclose([x, y], place[0, :2] * US_M, atol=2e-4)
+    ((x, y, z),) = there.coordinates(point) * made_m
+    np.testing.assert_allclose([x, y], point[0, :2] * US_M, atol=2e-4)
     assert z == pytest.approx(100.0 * US_M - undulation, abs=1e-4)
 
 
@@ -199,7 +199,7 @@ def test_a_grid_is_asked_for_where_points_move_and_not_for_a_name(
     assert there.crs.to_epsg() == 2992
     assert not built
     for _ in range(2):
-        there.places(np.array([[800_000.0, 900_000.0, 10.0]]))
+        there.coordinates(np.array([[800_000.0, 900_000.0, 10.0]]))
     assert len(built) == 1
 
 
@@ -209,9 +209,9 @@ def test_a_crs_that_is_bound_to_another_is_in_another_unit(unit: str) -> None:
     assert bound.is_bound
     for crs in (bound, compound(bound, CRS("EPSG:6360"))):
         assert Units.of(in_unit(crs, NAMES[unit])).horizontal == NAMES[unit]
-    place = np.array([[1_800_000.0, 14_000_000.0, 100.0]])
+    point = np.array([[1_800_000.0, 14_000_000.0, 100.0]])
     there = Reprojection(bound, None, unit)
-    np.testing.assert_allclose(there.places(place), place * US_M / COMMON[NAMES[unit]])
+    np.testing.assert_allclose(there.coordinates(point), point * US_M / COMMON[NAMES[unit]])
 
 
 def test_another_unit_needs_a_crs() -> None:
@@ -225,8 +225,10 @@ def test_a_named_crs_in_a_named_unit() -> None:
     found = Reprojection(CRS.from_user_input(TEXAS), "EPSG:26915", "us-ft")
     metres = Reprojection(CRS.from_user_input(TEXAS), "EPSG:26915+5703")
     assert Units.of(found.crs) == Units.of(CRS.from_user_input(TEXAS))
-    place = np.array([[3_000_000.0, 13_000_000.0, 100.0]])
-    np.testing.assert_allclose(found.places(place) * US_M, metres.places(place), atol=1e-6)
+    point = np.array([[3_000_000.0, 13_000_000.0, 100.0]])
+    np.testing.assert_allclose(
+        found.coordinates(point) * US_M, metres.coordinates(point), atol=1e-6
+    )
 
 
 def test_clouds_and_rasters_in_another_crs(tmp_path: Path) -> None:
@@ -258,12 +260,12 @@ def test_clouds_and_rasters_in_another_crs(tmp_path: Path) -> None:
         tmp_path / "dtm", tmp_path / "ft", cell=3.0, above_datum=True, meaning="", unit="m"
     )
     with rasterio.open(tmp_path / "ft") as source:
-        place, values = source.transform, source.read(1).astype(float)
-    assert place.a == 3.0
-    assert (place.c % 3.0, place.f % 3.0) == (0.0, 0.0)
+        affine, values = source.transform, source.read(1).astype(float)
+    assert affine.a == 3.0
+    assert (affine.c % 3.0, affine.f % 3.0) == (0.0, 0.0)
     rows, cols = np.nonzero(values != NODATA)
     inverse = Transformer.from_crs(2278, 32615, always_xy=True)
-    x, y = inverse.transform(*(place * (cols + 0.5, rows + 0.5)))
+    x, y = inverse.transform(*(affine * (cols + 0.5, rows + 0.5)))
     u, v = x - 272_000.5, 3_289_999.5 - y
     inner = (u > 14) & (u < 58) & (v > 1) & (v < 38)
     expected = (90 - 0.5 * v + 0.25 * u) / US_M
@@ -314,7 +316,7 @@ def test_an_inputs_own_heights_above_ground_are_in_the_clouds_unit(
         (None, TEXAS, "the survey has no CRS"),
         ("EPSG:32615", "EPSG:4326", "geographic .* projected: name a projected CRS"),
         ("EPSG:32615", "EPSG:4978", "geocentric, .* projected: name a projected CRS"),
-        ("EPSG:32615", "EPSG:5703", "a CRS of heights alone; write that of places"),
+        ("EPSG:32615", "EPSG:5703", "a CRS of heights alone; write a horizontal one"),
         ("EPSG:32615+5703", "EPSG:2278+5773", "cannot be reached .* grid that it lacks"),
         ("EPSG:32615", "EPSG:32606", "stretches lengths .* name one of the region"),
         ("EPSG:27700", "EPSG:25830", "pyproj sync --file uk_os_OSTN15_NTv2_OSGBtoETRS.tif"),
@@ -328,15 +330,15 @@ def test_a_crs_that_cannot_be_reached_is_refused(survey, named: str, fault: str)
         Reprojection(crs, named).check(corner)
 
 
-def test_rasters_and_tiles_need_a_place_there_as_points_do() -> None:
+def test_rasters_and_tiles_need_coordinates_there_as_points_do() -> None:
     there = Reprojection(CRS("EPSG:6344+5703"), "EPSG:6588+6360")
-    place = np.array([[500_000.0, 3_300_000.0, 20.0]])
-    there.check(place)
+    point = np.array([[500_000.0, 3_300_000.0, 20.0]])
+    there.check(point)
     vars(there)["_flat"] = Transformer.from_crs("EPSG:4326", "EPSG:32615", always_xy=True)
-    assert np.isfinite(there.places(place)).all()
-    assert not np.isfinite(there._flat.transform(*place[0, :2])).any()  # degrees that are none
-    with pytest.raises(WorkflowError, match="a corner of the survey has no place there"):
-        there.check(place)
+    assert np.isfinite(there.coordinates(point)).all()
+    assert not np.isfinite(there._flat.transform(*point[0, :2])).any()  # degrees that are none
+    with pytest.raises(WorkflowError, match="a corner of the survey has no coordinates there"):
+        there.check(point)
 
 
 @pytest.mark.parametrize(
@@ -351,5 +353,5 @@ def test_heights_stay_where_none_are_named(named: str, crs: str, *, moves, ratio
     found = Reprojection(CRS.from_user_input("EPSG:32615+5703"), named)
     assert found.crs.sub_crs_list[1].equals(CRS.from_user_input(crs).sub_crs_list[1])
     assert found.moves_points == moves
-    ((_, _, z),) = found.places(np.array([[272_000.0, 3_290_000.0, 20.0]]))
+    ((_, _, z),) = found.coordinates(np.array([[272_000.0, 3_290_000.0, 20.0]]))
     assert z == pytest.approx(20.0 * ratio)

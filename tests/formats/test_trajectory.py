@@ -111,9 +111,9 @@ def test_a_record_that_cannot_be_is_left_out_of_any_format(tmp_path: Path, latit
     for name in ("a.parquet", "a.sbet"):
         loaded = read(tmp_path / name)
         assert len(loaded.trajectory.time_s) == 49
-        (said,) = loaded.warnings
-        assert said.startswith(f"trajectory {name}: 1 of 50 records left out (no finite number")
-        assert said.endswith("; the first is record 7")
+        (remark,) = loaded.warnings
+        assert remark.startswith(f"trajectory {name}: 1 of 50 records left out (no finite number")
+        assert remark.endswith("; the first is record 7")
 
 
 def test_faults(tmp_path: Path) -> None:
@@ -141,7 +141,7 @@ def test_faults(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("survey", "told"),
+    ("survey", "warned"),
     [
         ("EPSG:6344+5703", "not of .*NAVD88 height.*: PROJ lacks .*us_noaa_g2018u0.tif"),
         (NAMELESS, ""),
@@ -149,12 +149,12 @@ def test_faults(tmp_path: Path) -> None:
     ],
 )
 def test_heights_that_cannot_be_converted_are_named_with_the_grid(
-    tmp_path: Path, survey: str, told: str
+    tmp_path: Path, survey: str, warned: str
 ) -> None:
     sbet = write_sbet(tmp_path / "a.sbet", flight())
     loaded = read(sbet, crs="EPSG:6319", survey=CRS(survey))
-    assert bool(loaded.warnings) == bool(told)
-    assert all(re.search(told, text) for text in loaded.warnings)
+    assert bool(loaded.warnings) == bool(warned)
+    assert all(re.search(warned, text) for text in loaded.warnings)
     np.testing.assert_allclose(loaded.trajectory.xyz_m[:, 2], flight()[:, 3], atol=1e-6)
 
 
@@ -193,7 +193,7 @@ def test_trajectory_in_another_crs_is_found_out(tmp_path: Path) -> None:
         load(path, (1000.0, 1001.0), bounds_m=(700_000, 6_000_000, 701_000, 6_001_000))
 
 
-def test_week_that_cannot_be_told(tmp_path: Path) -> None:
+def test_week_that_cannot_be_derived(tmp_path: Path) -> None:
     path = write_csv(tmp_path / "a.csv", flight())
     with pytest.raises(InputError, match="ambiguous"):
         load(path, (ADJUSTED, ADJUSTED + 2 * WEEK))
@@ -297,15 +297,15 @@ def test_records_of_many_batches_come_in_order_once(
     np.testing.assert_array_equal(got, by_time[first])
     assert found.records == len(got)
     dropped = count - len(got)
-    told = f"trajectory: {counted(dropped, 'records', 'repeat')} a time: left out"
-    assert found.warnings == ([told] if dropped else [])
+    warning = f"trajectory: {counted(dropped, 'records', 'repeat')} a time: left out"
+    assert found.warnings == ([warning] if dropped else [])
 
 
 def cut(read: Any, size: int) -> Any:
     """The same reader, in batches of so many records."""
 
-    def smaller(path: Path, tell: Any) -> Any:
-        for time, position in read(path, tell):
+    def smaller(path: Path, watch: Any) -> Any:
+        for time, position in read(path, watch):
             for start in range(0, len(time), size):
                 yield time[start : start + size], position[start : start + size]
 

@@ -34,7 +34,7 @@ IN_FEET = [(TEXAS, US_M, US_M), (OREGON, FOOT_M, FOOT_M), (MIXED, US_M, 1.0)]
 
 
 class Cell(NamedTuple):
-    """What a raster of one cell says of itself."""
+    """What a raster of one cell states of itself."""
 
     crs: CRS
     unit: str
@@ -44,8 +44,8 @@ class Cell(NamedTuple):
 def one_cell(path: Path, crs: str) -> Cell:
     """Write a raster of one height."""
     height = np.array([[812.5]], np.float32)
-    place = {"shape": (1, 1), "origin_xy_m": (4.0, 9.0)}
-    write_cog(path, height, crs=crs, description="", unit="m", **place)  # type: ignore[arg-type]
+    layout = {"shape": (1, 1), "origin_xy_m": (4.0, 9.0)}
+    write_cog(path, height, crs=crs, description="", unit="m", **layout)  # type: ignore[arg-type]
     part = read_part(path, (4.1, 8.1, 4.2, 8.2))
     assert part is not None
     np.testing.assert_allclose(part.values, height, rtol=1e-6)
@@ -121,9 +121,9 @@ def test_a_trajectory_in_the_surveys_feet_is_read_in_metres(tmp_path: Path, name
         ((_, xyz),) = found
     np.testing.assert_allclose(xyz[1], np.array([3_000_100, 13_000_000, 6000]) * US_M, atol=1e-6)
     points = PointExtent((1.0, 2.0), (0.0, 13_000_000 * US_M, 100.0, 13_000_000 * US_M))
-    told = r"x 3000050, y 13000000 ft is 2 999 672 ft \(914 302 m\) from the points"
+    message = r"x 3000050, y 13000000 ft is 2 999 672 ft \(914 302 m\) from the points"
     with (
-        pytest.raises(InputError, match=told),
+        pytest.raises(InputError, match=message),
         gathering([path], survey_crs=crs, trajectory_crs=named, points=points) as found,
     ):
         list(found)

@@ -1,8 +1,8 @@
 """Byte-level strategies: what may have become of a file on its way.
 
-A mutant is a list of edits of a sound file. Edits prefer the places that tell readers what
+A mutant is a list of edits of a sound file. Edits prefer the offsets that show readers what
 follows, which each seed names: header fields, records, tables. Sizes and counts get the values at
-which integers overflow, places get those of other places.
+which integers overflow, offsets get those of other offsets.
 """
 
 import struct
@@ -67,7 +67,7 @@ def put(content: bytearray, at: int, value: bytes) -> None:
 
 @dataclass(frozen=True)
 class Seed:
-    """A sound file and its tender places."""
+    """A sound file and its tender offsets."""
 
     content: bytes
     suffix: str
@@ -80,14 +80,14 @@ def edits(seed: Seed) -> st.SearchStrategy[Edit]:
     inside = st.sampled_from(parts).flatmap(
         lambda part: st.integers(part[0], max(part[1] - 1, part[0]))
     )
-    places = st.one_of(inside, inside, inside, st.integers(0, max(len(seed.content) - 1, 0)))
+    offsets = st.one_of(inside, inside, inside, st.integers(0, max(len(seed.content) - 1, 0)))
     kinds: list[Kind] = ["integer"] * 5 + ["float", "float", "bytes", "bytes", "flip", "flip"]
     rare: list[Kind] = ["cut", "insert", "remove", "repeat"]
     values = st.one_of(
         st.sampled_from(INTEGERS), st.integers(0, 2**64 - 1), st.integers(0, len(seed.content))
     )
     return st.builds(
-        Edit, st.sampled_from(kinds * 2 + rare), places, st.sampled_from((1, 2, 4, 8)), values
+        Edit, st.sampled_from(kinds * 2 + rare), offsets, st.sampled_from((1, 2, 4, 8)), values
     )
 
 

@@ -83,7 +83,7 @@ def read_trajectory(path: Path) -> int:
 
 
 def read_raster(path: Path) -> int:
-    """Terrain heights at some places."""
+    """Terrain heights at some points."""
     latitude, longitude = np.linspace(29.99, 30.02, 40), np.full(40, -104.01)
     return int(np.isfinite(sample_terrain(path, latitude, longitude)).sum())
 
@@ -167,9 +167,9 @@ def attempt(name: str, content: bytes, folder: Path) -> bool:
         sound = True
     except SplBatchError as error:
         sound = False
-        said = str(error)
-        if "\n" in said or not said.isprintable() or len(said) > MESSAGE_MAX:
-            raise BrokenPromiseError(f"no clear line: {said[:2000]!r}") from error
+        message = str(error)
+        if "\n" in message or not message.isprintable() or len(message) > MESSAGE_MAX:
+            raise BrokenPromiseError(f"no clear line: {message[:2000]!r}") from error
     took_s = time.process_time() - begin_s
     if took_s > LIMIT_S:
         raise BrokenPromiseError(f"took {took_s:.0f} s")

@@ -140,7 +140,7 @@ def _whole(content: bytes) -> Iterator[tuple[int, int]]:
 
 
 def file_ends(content: bytes) -> Iterator[tuple[int, int]]:
-    """Where formats with a footer tell what they hold."""
+    """Where formats with a footer state what they hold."""
     yield max(len(content) - 900, 0), len(content)
     yield 0, min(200, len(content))
 

@@ -63,7 +63,7 @@ def peaks(tiles: dict[CellId, float], unit: int, halo: int) -> Iterator[Peak]:
 
 @settings(max_examples=60, deadline=None)
 @given(boxes, st.sampled_from([100, 200, 70, 250]), st.sampled_from([0, 30, 130]))
-def test_headers_tell_the_fullest_unit(listed: list[Box], unit: int, halo: int) -> None:
+def test_headers_give_the_fullest_unit(listed: list[Box], unit: int, halo: int) -> None:
     pieces = list(from_boxes(listed, EDGE))
     tiles = tiles_of(listed)
     total = sum(box.points for box in listed)
@@ -74,8 +74,8 @@ def test_headers_tell_the_fullest_unit(listed: list[Box], unit: int, halo: int) 
         assert sum(p.units(unit) for p in pieces) == len(expected)
         found = largest(p.peak(unit, halo) for p in pieces)
         assert found.points == pytest.approx(largest(expected).points, abs=1e-6 * total)
-        at_place = next(p for p in expected if p.core == found.core)
-        assert at_place.points == pytest.approx(found.points, abs=1e-6 * total)
+        at_core = next(p for p in expected if p.core == found.core)
+        assert at_core.points == pytest.approx(found.points, abs=1e-6 * total)
 
 
 counts = st.dictionaries(
@@ -85,7 +85,7 @@ counts = st.dictionaries(
 
 @settings(max_examples=60, deadline=None)
 @given(counts, st.sampled_from([100, 300, 250]), st.sampled_from([0, 30, 130]))
-def test_tiles_tell_the_fullest_unit(held: dict[CellId, int], unit: int, halo: int) -> None:
+def test_tiles_give_the_fullest_unit(held: dict[CellId, int], unit: int, halo: int) -> None:
     pieces = list(from_counts(held, EDGE))
     grid = Grid.of_boxes([cell_bounds(tile, EDGE) for tile in held], unit, 0)
     listed = list(grid.units(held, EDGE, halo))
@@ -106,7 +106,7 @@ def test_pieces_far_apart_are_counted_apart() -> None:
 def test_a_header_that_spans_the_world_takes_coarse_squares(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(density, "MAX_SQUARES", 100)
+    monkeypatch.setattr(density, "MAX_CELLS", 100)
     wide = [Box(Bounds(0, 0, 40 * EDGE, 40 * EDGE), 1600), Box(Bounds(0, 0, 400, 400), 800)]
     (piece,) = from_boxes(wide, EDGE)
     assert piece.edge == 4 * EDGE

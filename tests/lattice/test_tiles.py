@@ -82,7 +82,7 @@ def test_overlap_means_shared_area(a: Bounds, b: Bounds) -> None:
 
 
 @given(regions(), st.integers(0, 10**6))
-def test_a_halo_reaches_as_far_as_it_says(region: Bounds, halo: int) -> None:
+def test_a_halo_reaches_as_far_as_stated(region: Bounds, halo: int) -> None:
     wide = grow(region, halo)
     corner = np.array([region.xmin - halo]), np.array([region.ymin - halo])
     assert inside(*corner, wide)[0] == (wide.area_m2 > 0)

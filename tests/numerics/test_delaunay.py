@@ -18,19 +18,19 @@ from spl_batch.numerics.triangulation.delaunay import (
     triangles,
 )
 
-Places = NDArray[np.float64]
+Points = NDArray[np.float64]
 
 
 def as_set(facets: NDArray[np.int32]) -> set[tuple[int, ...]]:
     return {tuple(row) for row in np.sort(facets, axis=1).tolist()}
 
 
-def area2(a: Places, b: Places, c: Places) -> Fraction:
+def area2(a: Points, b: Points, c: Points) -> Fraction:
     (ax, ay), (bx, by), (cx, cy) = ([Fraction(v) for v in p.tolist()] for p in (a, b, c))
     return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
 
 
-def circle(a: Places, b: Places, c: Places, p: Places) -> Fraction:
+def circle(a: Points, b: Points, c: Points, p: Points) -> Fraction:
     """Positive where p lies in the circle through a, b, c, exactly."""
     rows = []
     for corner in (a, b, c):
@@ -40,7 +40,7 @@ def circle(a: Places, b: Places, c: Places, p: Places) -> Fraction:
     return a2 * (bx * cy - cx * by) + b2 * (cx * ay - ax * cy) + c2 * (ax * by - bx * ay)
 
 
-def check(xy: Places, facets: NDArray[np.int32], neighbours: NDArray[np.int32]) -> None:
+def check(xy: Points, facets: NDArray[np.int32], neighbours: NDArray[np.int32]) -> None:
     """Counter-clockwise, of empty circles, covering the hull, and beside each other."""
     total = Fraction(0)
     for facet in facets:
@@ -64,8 +64,8 @@ on_lattice = hnp.arrays(np.int64, st.tuples(st.integers(3, 25), st.just(2)),
 
 @given(on_lattice)
 @settings(max_examples=30, deadline=None)
-def test_lattice_points_with_all_their_ties(places: NDArray[np.int64]) -> None:
-    xy = np.unique(places, axis=0).astype(np.float64)
+def test_lattice_points_with_all_their_ties(points: NDArray[np.int64]) -> None:
+    xy = np.unique(points, axis=0).astype(np.float64)
     facets, neighbours = triangles(xy)
     if len(xy) < 3 or np.linalg.matrix_rank(xy - xy[0]) < 2:
         assert len(facets) == 0
@@ -99,12 +99,12 @@ def test_what_comes_twice_is_put_in_once() -> None:
     xy = rng.random((40, 2))
     again = np.concatenate([xy, xy[::-1]])
     facets, _ = triangles(again)
-    place = np.where(facets < 40, facets, 79 - facets)
-    assert as_set(place) == as_set(triangles(xy)[0])
+    mirrored = np.where(facets < 40, facets, 79 - facets)
+    assert as_set(mirrored) == as_set(triangles(xy)[0])
 
 
 @pytest.mark.parametrize("line", [np.zeros((5, 2)), np.outer(np.arange(6.0), [2.0, -1.0])])
-def test_a_line_has_no_triangles_until_something_lies_beside_it(line: Places) -> None:
+def test_a_line_has_no_triangles_until_something_lies_beside_it(line: Points) -> None:
     assert len(triangles(line)[0]) == 0
     xy = np.concatenate([line, [[0.5, 3.0], [0.25, -2.0]]])
     mesh = empty_mesh(xy)

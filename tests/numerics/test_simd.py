@@ -26,7 +26,7 @@ from spl_batch.numerics.simd import (
 )
 
 U0, UL = np.uint64(0), np.uint64(LANES)
-PLACES = st.lists(st.floats(), max_size=30)
+VALUES = st.lists(st.floats(), max_size=30)
 EIGHT = st.lists(st.floats(), min_size=LANES, max_size=LANES)
 
 
@@ -43,7 +43,7 @@ def within(values, size, limit, kept, rows):  # type: ignore[no-untyped-def]
 
 
 @settings(deadline=None)
-@given(PLACES, st.floats())
+@given(VALUES, st.floats())
 def test_what_counts_is_packed_in_its_order(listed: list[float], limit: float) -> None:
     values = np.array([*listed, *np.zeros(LANES)])
     kept, rows = np.empty(len(values)), np.empty(len(values), np.uint64)

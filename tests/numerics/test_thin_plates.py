@@ -12,13 +12,13 @@ def test_plates_are_those_of_scipy(stiffness):
     rng = np.random.default_rng(1)
     points = rng.uniform(-7, 7, (60, 3)) * (1, 1, 3)
     plate = fit_plate(points, stiffness)
-    places = rng.uniform(-9, 9, (50, 2))
+    asked = rng.uniform(-9, 9, (50, 2))
     expected = RBFInterpolator(
         points[:, :2], points[:, 2], kernel="thin_plate_spline", smoothing=stiffness
-    )(places)
-    found = plate_heights(points, plate, *places.T)
+    )(asked)
+    found = plate_heights(points, plate, *asked.T)
     np.testing.assert_allclose(found, expected, atol=1e-9)
-    alone = [plate_heights(points, plate, *place[:, np.newaxis]).item() for place in places]
+    alone = [plate_heights(points, plate, *one[:, np.newaxis]).item() for one in asked]
     assert found.tolist() == alone
 
 

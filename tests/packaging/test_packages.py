@@ -1,4 +1,4 @@
-"""What packages of the project say: one version, one list of requirements, one licence."""
+"""What packages of the project declare: one version, one list of requirements, one licence."""
 
 import re
 import tomllib
@@ -62,7 +62,7 @@ def test_the_default_has_what_the_extras_of_results_name() -> None:
 
 def test_the_conda_recipe_builds_and_starts_what_the_project_does() -> None:
     recipe = loaded("conda/recipe.yaml")
-    scripts = [f"{name} = {place}" for name, place in PROJECT["scripts"].items()]
+    scripts = [f"{name} = {entry}" for name, entry in PROJECT["scripts"].items()]
     assert recipe["build"]["python"]["entry_points"] == scripts
     (backend,) = tomllib.loads((ROOT / "pyproject.toml").read_text())["build-system"]["requires"]
     assert backend.replace(">=", " >=") in recipe["requirements"]["host"]

@@ -1,6 +1,6 @@
 """Points against the known scene: what [M20 ch. 5] looks at, as numbers.
 
-Places are relative to the scene's centre and ground [m].
+Points are relative to the scene's centre and ground [m].
 """
 
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from benchmarks.geiger.coincidence.scene_distances import heights_below, surface_distance
 from spl_batch.geiger.coincidence.scene_rays import Targets
 from spl_batch.geiger.coincidence.simulate import (
-    PLACES_M,
+    POSITIONS_M,
     SPOKE_RADIUS_M,
     TARGET_HEIGHT_M,
     Target,
@@ -50,7 +50,7 @@ class Resolution(NamedTuple):
 
 
 def distance_m(xyz_m: NDArray[np.float64], scene: Targets) -> NDArray[np.float64]:
-    """Distance of each place from what is in the scene, leaves too: (n,) float64 [m]."""
+    """Distance of each point from what is in the scene, leaves too: (n,) float64 [m]."""
     out = np.empty(len(xyz_m))
     surface_distance(np.ascontiguousarray(xyz_m), scene, out)
     if len(scene.leaves):
@@ -63,7 +63,7 @@ def distance_m(xyz_m: NDArray[np.float64], scene: Targets) -> NDArray[np.float64
 def seen_from_above(
     scene: Targets, low_m: NDArray[np.float64], high_m: NDArray[np.float64], step_m: float
 ) -> NDArray[np.float64]:
-    """Places of opaque surfaces straight below a grid, canopies left out: (n, 3) [m]."""
+    """Points of opaque surfaces straight below a grid, canopies left out: (n, 3) [m]."""
     axes = [np.arange(a + 0.5 * step_m, b, step_m) for a, b in zip(low_m, high_m, strict=True)]
     x, y = (a.ravel() for a in np.meshgrid(*axes))
     if len(scene.leaves):
@@ -84,7 +84,7 @@ def seen_from_above(
 def completeness(
     truth_m: NDArray[np.float64], xyz_m: NDArray[np.float64], within_m: float
 ) -> float:
-    """Share of true places with a point that near [0..1]; of nothing, 1."""
+    """Share of true points with a point that near [0..1]; of nothing, 1."""
     if not len(truth_m):
         return 1.0
     if not len(xyz_m):
@@ -95,7 +95,7 @@ def completeness(
 
 def spoke_heights(xyz_m: NDArray[np.float64], name: Target = "spokes") -> NDArray[np.float64]:
     """Heights of the points on a spoke target, from its true height [m]."""
-    x, y = PLACES_M[name]
+    x, y = POSITIONS_M[name]
     near = np.hypot(xyz_m[:, 0] - x, xyz_m[:, 1] - y) < SPOKE_RADIUS_M
     height = xyz_m[near, 2] - TARGET_HEIGHT_M
     near_level: NDArray[np.float64] = height[np.abs(height) < BAND_M]
@@ -110,7 +110,7 @@ def tri_bars(
     level = np.abs(xyz_m[:, 2] - TARGET_HEIGHT_M) < BAND_M
     xyz_m, weight = xyz_m[level], weight[level]
     found = []
-    for width, north, plates in bars(PLACES_M["bars"]):
+    for width, north, plates in bars(POSITIONS_M["bars"]):
         axis = 0 if north else 1
         gaps = plates[:2].copy()
         gaps[:, axis] += width

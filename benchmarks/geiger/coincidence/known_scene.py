@@ -1,4 +1,4 @@
-"""Coincidence processing against its known scene, beside what its source says [M20 ch. 5].
+"""Coincidence processing against its known scene, beside what its source reports [M20 ch. 5].
 
 ``python -m benchmarks.geiger.coincidence.known_scene [--whole] [--seeds 1 2 3] [--settings NAME
 ...]`` simulates parts of the artificial scene of [M20], or all of it, and prints for detections and
@@ -32,7 +32,7 @@ from spl_batch.formats.files.atomic import write_bytes
 from spl_batch.geiger.coincidence.scene_rays import Targets, painted, tube_distance
 from spl_batch.geiger.coincidence.settings import CoincidenceSettings
 from spl_batch.geiger.coincidence.simulate import (
-    PLACES_M,
+    POSITIONS_M,
     TARGET_HEIGHT_M,
     SceneSettings,
     build,
@@ -74,7 +74,7 @@ MARGIN_M = 1.0
 """What is nearer to the scene's rim than this is left out [m]."""
 
 STEP_M = 0.1
-"""Step of the true places that completeness is taken of [m]."""
+"""Step of the true points that completeness is taken of [m]."""
 
 LARGEST = 150_000
 """Most bytes of the picture."""
@@ -82,7 +82,7 @@ LARGEST = 150_000
 
 @dataclass(frozen=True, slots=True)
 class Cloud:
-    """Places from the scene's centre and ground [m], and their weights."""
+    """Points from the scene's centre and ground [m], and their weights."""
 
     xyz: NDArray[np.float64]
     weight: NDArray[np.float64]
@@ -170,7 +170,7 @@ def _heights(name: str, heights: NDArray[np.float64]) -> Numbers:
 
 def _coil(xyz: NDArray[np.float64], targets: Targets) -> float:
     """How well the upper loop's top is round: distances of points from the tube's surface."""
-    near = np.hypot(*(xyz[:, :2] - np.array(PLACES_M["coil"])).T) < 1.5
+    near = np.hypot(*(xyz[:, :2] - np.array(POSITIONS_M["coil"])).T) < 1.5
     rows = np.flatnonzero(near & (xyz[:, 2] > 2.75))
     axis, radius = targets.coil, targets.coil_radius
     away = np.array([tube_distance(x, y, z, axis, radius) for x, y, z in xyz[rows]])
@@ -181,7 +181,7 @@ def _covered(xyz: NDArray[np.float64], scene: SceneSettings, pixel: float) -> Nu
     """The spoke target beneath the canopy: heights, completeness of what is opaque."""
     bare = build(scene.model_copy(update={"targets": ("covered_spokes",)}))
     bare = bare._replace(leaves=np.empty((0, 5)))
-    centre = np.array(PLACES_M["covered_spokes"])
+    centre = np.array(POSITIONS_M["covered_spokes"])
     truth = accuracy.seen_from_above(bare, centre - 5, centre + 5, STEP_M)
     found = _heights("spokes beneath leaves", 100 * accuracy.spoke_heights(xyz, "covered_spokes"))
     complete = 100 * accuracy.completeness(truth[truth[:, 2] > 1], xyz, pixel)
@@ -216,7 +216,7 @@ def _paint(cloud: Cloud, targets: Targets) -> float:
 
 def draw(path: Path, before: Cloud, after: Cloud) -> None:
     """Draw the spoke targets and the tri-bars from above, detections over points."""
-    x, y = PLACES_M["bars"]
+    x, y = POSITIONS_M["bars"]
     parts = (
         ("open spokes", (-5.5, 5.5, -5.5, 5.5)),
         ("beneath leaves", (-5.5, 5.5, -30.5, -19.5)),
@@ -227,9 +227,9 @@ def draw(path: Path, before: Cloud, after: Cloud) -> None:
         rows = drawn.add_gridspec(4, 2, height_ratios=(1, 1, 0.33, 0.33))
         for k, (name, cloud) in enumerate((("detections", before), ("points", after))):
             level = cloud.xyz[np.abs(cloud.xyz[:, 2] - TARGET_HEIGHT_M) < accuracy.BAND_M]
-            places = (rows[k, 0], rows[k, 1], rows[2 + k, :])
-            for (title, (west, east, south, north)), place in zip(parts, places, strict=True):
-                panel = drawn.add_subplot(place)
+            panels = (rows[k, 0], rows[k, 1], rows[2 + k, :])
+            for (title, (west, east, south, north)), spec in zip(parts, panels, strict=True):
+                panel = drawn.add_subplot(spec)
                 east_m, north_m = level[:, 0], level[:, 1]
                 panel.scatter(east_m, north_m, s=0.35, c=style.SIGNAL, lw=0, rasterized=True)
                 panel.set(aspect="equal", xlim=(west, east), ylim=(south, north))

@@ -1,4 +1,4 @@
-"""Distances of places from the surfaces of the known scene, and heights seen from above."""
+"""Distances of points from the surfaces of the known scene, and heights seen from above."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,12 +35,12 @@ def math_hypot(a, b):  # type: ignore[no-untyped-def]
 
 @njit()
 def surface_distance(xyz: NDArray[np.float64], scene: Targets, out: NDArray[np.float64]) -> None:
-    """Distance of each place from the nearest surface of the scene, leaves apart.
+    """Distance of each point from the nearest surface of the scene, leaves apart.
 
     Parameters
     ----------
     xyz : (n, 3) float64
-        Places [m].
+        Points [m].
     scene : Targets
         The scene; its ground is everywhere, also beneath targets.
     out : (n,) float64
@@ -70,10 +70,10 @@ def surface_distance(xyz: NDArray[np.float64], scene: Targets, out: NDArray[np.f
 @njit()
 def _box_distance(x, y, z, box):  # type: ignore[no-untyped-def]
     """Distance from the surface of a box, from inside or outside."""
-    place = (x, y, z)
+    point = (x, y, z)
     outside, inside = 0.0, 1e30
     for axis in range(3):
-        away = max(box[axis] - place[axis], place[axis] - box[axis + 3])
+        away = max(box[axis] - point[axis], point[axis] - box[axis + 3])
         outside += max(away, 0.0) ** 2
         inside = min(inside, -away)
     return inside if outside == 0.0 else np.sqrt(outside)

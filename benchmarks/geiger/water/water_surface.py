@@ -193,7 +193,7 @@ def surfaces(
 
 def errors(acquired: Acquisition, surface: Surface) -> list[float]:
     """Bias [mm], variance and MSE [mm2], angle of the mean normal, mean of the pixels' [deg]."""
-    pairs = (surface.places_m, surface.normals, acquired.true_down_m, acquired.true_normals)
+    pairs = (surface.points_m, surface.normals, acquired.true_down_m, acquired.true_normals)
     made, _, _ = surface_error(*(values[USED.any(axis=1)] for values in pairs))
     lengths = [abs(made.bias_m) * 1e3, made.variance_m2 * 1e6, made.mse_m2 * 1e6]
     return [*lengths, made.normal_deg, made.pixel_normal_deg]
@@ -201,10 +201,10 @@ def errors(acquired: Acquisition, surface: Surface) -> list[float]:
 
 def floor_errors(acquired: Acquisition, surface: Surface, view: View) -> FloorError:
     """Ends of the rays of the green beam's pixels."""
-    block = middle((CAMERA.rows, CAMERA.cols), 16)
-    true = view.places(acquired.true_range_m)[block], acquired.true_normals[block]
-    found = surface.places_m[block], surface.normals[block]
-    return floor_error(view.look[block], found, true, PATH_M, INDEX)
+    footprint = middle((CAMERA.rows, CAMERA.cols), 16)
+    true = view.points(acquired.true_range_m)[footprint], acquired.true_normals[footprint]
+    found = surface.points_m[footprint], surface.normals[footprint]
+    return floor_error(view.look[footprint], found, true, PATH_M, INDEX)
 
 
 def water_normals(_: Path, count: int = 8) -> Figure:
@@ -217,16 +217,16 @@ def water_normals(_: Path, count: int = 8) -> Figure:
     drawn = style.figure(9.2, 3.1)
     left, *right = drawn.subplots(1, 3)
     made = surfaces(WAVES, wet, WATER_VIEW, dead, list(chosen.values()), count, 51)
-    block = middle((CAMERA.rows, CAMERA.cols), 16)
-    beam, up = WATER_VIEW.look[block], np.array([0.0, 0.0, -1.0])
+    footprint = middle((CAMERA.rows, CAMERA.cols), 16)
+    beam, up = WATER_VIEW.look[footprint], np.array([0.0, 0.0, -1.0])
     for k, (acquired, results) in enumerate(made):
-        place = WATER_VIEW.places(acquired.true_range_m)[block]
-        true = floor_points(place, refracted(beam, acquired.true_normals[block], INDEX), PATH_M)
-        level = floor_points(place, refracted(beam, up, INDEX), PATH_M)
+        point = WATER_VIEW.points(acquired.true_range_m)[footprint]
+        true = floor_points(point, refracted(beam, acquired.true_normals[footprint], INDEX), PATH_M)
+        level = floor_points(point, refracted(beam, up, INDEX), PATH_M)
         _scatter(left, level - true, style.MUTED, "level surface" if k == 0 else None)
         for (name, colour), found in zip(colours.items(), results, strict=True):
-            ray = refracted(beam, found.normals[block], INDEX)
-            ends = floor_points(found.places_m[block], ray, PATH_M)
+            ray = refracted(beam, found.normals[footprint], INDEX)
+            ends = floor_points(found.points_m[footprint], ray, PATH_M)
             _scatter(left, ends - true, colour, name if k == 0 else None)
     left.set(title="Ends of rays [cm]", xlabel="east", ylabel="north", aspect="equal")
     left.set(xlim=(-60, 60), ylim=(-50, 70))
@@ -235,7 +235,7 @@ def water_normals(_: Path, count: int = 8) -> Figure:
     made = surfaces(CALM, wet, WATER_VIEW, dead, list(chosen.values()), count, 52)
     for acquired, results in made:
         truth = acquired.true_down_m, acquired.true_normals
-        sums += [pixel_sums(*surface_error(f.places_m, f.normals, *truth)[1:]) for f in results]
+        sums += [pixel_sums(*surface_error(f.points_m, f.normals, *truth)[1:]) for f in results]
     for axes, name, total in zip(right, chosen, sums, strict=True):
         normals = pixel_maps(total)["normal_deg"][USED.any(axis=1)]
         shown = axes.imshow(normals, cmap=style.SKY, vmin=0, vmax=25)

@@ -120,7 +120,7 @@ def surface_differences(dsm: Raster, reference: Reference) -> Differences:
     class of the highest reference point. A cell counts where that point does.
     """
     reference = reference.without_noise()
-    row, col, held = dsm.grid.place(reference.xyz_m[:, :2])
+    row, col, held = dsm.grid.cells(reference.xyz_m[:, :2])
     rows, cols = dsm.values.shape
     picked = np.flatnonzero(held)
     cell = row[picked] * cols + col[picked]
@@ -196,7 +196,7 @@ def difference_sums(
     slopes leave no trace.
     """
     points, counts = _ground(reference.without_noise())
-    row, col, held = grid.place(points[:, :2])
+    row, col, held = grid.cells(points[:, :2])
     used = held & counts & np.isfinite(at_ground_m)
     steps = np.rint(at_ground_m[used] * STEPS_PER_M).astype(np.int64)
     cell, place = np.unique(row[used] * grid.columns + col[used], return_inverse=True)

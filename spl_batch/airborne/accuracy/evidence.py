@@ -99,4 +99,4 @@ class Evidence:
 
     def edge(self, metres: float) -> str:
         """An edge of a square as requirements show it."""
-        return both(metres, self.units.of_places)
+        return both(metres, self.units.of_coordinates)

@@ -28,7 +28,7 @@ from spl_batch.errors import plain
 from spl_batch.formats.crs import horizontal, same_crs, vertical
 from spl_batch.formats.files.atomic import write_bytes
 from spl_batch.formats.gps_clock import leap_seconds
-from spl_batch.formats.rasters.parts import opened, place_m
+from spl_batch.formats.rasters.parts import geotransform_m, opened
 from spl_batch.formats.units import Units
 
 GPS_EPOCH: Final = dt.datetime(1980, 1, 6, tzinfo=dt.UTC)
@@ -310,7 +310,7 @@ def _cloud_item(name: str, cloud: Cloud, delivery: Delivery) -> Record:
 def _raster_item(name: str, href: str, delivery: Delivery) -> Record:
     with opened(delivery.output / href) as source:
         bounds, shape, cell = source.bounds, source.shape, float(source.transform.a)
-        *_, cell_m = place_m(source)
+        *_, cell_m = geotransform_m(source)
         meaning, unit = source.descriptions[0] or href, source.units[0] or ""
         crs = CRS.from_wkt(source.crs.to_wkt()) if source.crs else None
     asset = {"type": COG_TYPE, "title": meaning, **({"unit": unit} if unit else {})}

@@ -166,7 +166,7 @@ def _cells(pieces: Sequence[Piece], workflow: Workflow, side: int, units: Units)
 def _middle(core: Bounds, units: Units) -> str:
     """Middle of a cell, in the unit of places, with metres beside."""
     x, y = (sum(ends) / 2 * QUANTUM_M for ends in (core[::2], core[1::2]))
-    name, unit_m = units.of_places
+    name, unit_m = units.of_coordinates
     metres = f"x {x:.0f}, y {y:.0f}"
     if unit_m == 1.0:
         return metres

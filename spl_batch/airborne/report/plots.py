@@ -50,7 +50,7 @@ class Profile:
     @property
     def labels(self) -> tuple[str, str]:
         """Names of both axes."""
-        flat, flat_m = self.units.of_places
+        flat, flat_m = self.units.of_coordinates
         height, _ = self.units.of_heights
         width = f"strip {self.width_m / flat_m:.3g} {flat} wide"
         return f"distance [{flat}]; {width}", f"height [{height}]"

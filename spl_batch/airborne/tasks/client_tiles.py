@@ -132,7 +132,7 @@ def _cut_raster(source: Path, target: Path, area: shapely.Geometry) -> bool:
             target,
             chain([first], some),
             shape=(whole.height, whole.width),
-            place=place * Affine.translation(first_col, first_row),
+            transform=place * Affine.translation(first_col, first_row),
             crs=model.crs.to_wkt() if model.crs else None,
             description=model.descriptions[0] or source.name,
             unit=model.units[0] or "",

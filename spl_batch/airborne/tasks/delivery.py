@@ -48,7 +48,7 @@ from spl_batch.formats.las.writer import (
     write_points,
 )
 from spl_batch.formats.rasters.geotiff import write_cog
-from spl_batch.formats.rasters.parts import BLOCK, centres, opened, place_m, windows
+from spl_batch.formats.rasters.parts import BLOCK, centres, geotransform_m, opened, windows
 from spl_batch.formats.verified.parquet_npz import read_arrays, read_columns
 from spl_batch.lattice.tables import COLUMNS, PointTable
 from spl_batch.lattice.tiles import Bounds, parse_cell, quanta
@@ -331,7 +331,7 @@ def deliver_geoid(args: Mapping[str, Any], context: Context) -> Produced:
             yield window.row_off, window.col_off, kept.astype(np.float32)
 
     with opened(source) as model:
-        left_m, top_m, cell_m = place_m(model)
+        left_m, top_m, cell_m = geotransform_m(model)
         write_cog(
             target,
             blocks(),

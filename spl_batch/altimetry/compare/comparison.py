@@ -70,7 +70,7 @@ def contrast(outputs: Mapping[str, Path]) -> Contrast:
                 disagreed[beam, int(at)] += times
     if not disagreed:
         return Contrast(kept_only, removed_only, None)
-    worst = min(disagreed, key=lambda place: (-disagreed[place], place))
+    worst = min(disagreed, key=lambda stretch: (-disagreed[stretch], stretch))
     return Contrast(kept_only, removed_only, _stretch(outputs, *worst))
 
 
@@ -106,7 +106,7 @@ def _stretch(outputs: Mapping[str, Path], beam: str, at: int) -> Disputed:
     signal: dict[str, list[NDArray[np.bool_]]] = {method: [] for method in outputs}
     for part in _groups(outputs, beam):
         rows = next(iter(part.values()))
-        # Photons without a place have no number and lie in no stretch.
+        # Photons without a position have no number and lie in no stretch.
         inside = np.floor(rows["along_track"] / STRETCH_M) == at
         along.append(rows["along_track"][inside])
         height.append(rows["height"][inside])

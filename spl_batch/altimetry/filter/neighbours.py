@@ -1,7 +1,7 @@
-"""Noise-sized neighbourhoods: areas of the ellipses that reach the first neighbours of a place.
+"""Noise-sized neighbourhoods: areas of the ellipses that reach the first neighbours of a point.
 
 An ellipse is ``aspect`` times as long as high and leans with the layer that is seen around. Photons
-lie in columns along the track, by height in each, so that one search serves photons and places of
+lie in columns along the track, by height in each, so that one search serves photons and points of
 any slope; distances are exact.
 """
 
@@ -62,22 +62,22 @@ def columns(x_m: NDArray[np.float64], z_m: NDArray[np.float64]) -> Columns:
 
 def log_areas(
     photons: Columns,
-    places: tuple[NDArray[np.float64], NDArray[np.float64]],
+    points: tuple[NDArray[np.float64], NDArray[np.float64]],
     slope: NDArray[np.float64],
     shape: tuple[int, float, float],
     *,
     own: bool,
 ) -> NDArray[np.float64]:
-    """Logarithm of the area [m2] within the k-th neighbour of each place, (q, K) float64.
+    """Logarithm of the area [m2] within the k-th neighbour of each point, (q, K) float64.
 
-    Infinite where it lies beyond the reach. ``places``: along the track and in height [m];
+    Infinite where it lies beyond the reach. ``points``: along the track and in height [m];
     ``slope``: (q,), of each ellipse; ``shape``: K, length over height, reach along the track [m];
-    ``own``: whether the places are those of photons: each is no neighbour of itself.
+    ``own``: whether the points are those of photons: each is no neighbour of itself.
     """
     most, aspect, reach_m = shape
     near = np.full((len(slope), most + own), np.inf)
-    _nearest(*photons, *places, slope, aspect, (reach_m / aspect) ** 2, near)
-    # Photons at one place are a millimetre apart at least.
+    _nearest(*photons, *points, slope, aspect, (reach_m / aspect) ** 2, near)
+    # Photons at one position are a millimetre apart at least.
     areas: NDArray[np.float64] = np.pi * aspect * np.maximum(near[:, int(own) :], 1e-6)
     return np.log(areas, out=areas)
 
@@ -91,7 +91,7 @@ def _nearest(x, z, start, low_m, box_m, boxes, at_x, at_z, slope, aspect, cap, o
         near[:] = cap
         found = 0
         middle = np.int64(at_x[q] // COLUMN_M)
-        place = at_x[q], at_z[q], slope[q], 1.0 / aspect
+        ellipse = at_x[q], at_z[q], slope[q], 1.0 / aspect
         for side in range(2):
             step = 1 if side == 0 else -1
             c = middle - side
@@ -105,16 +105,16 @@ def _nearest(x, z, start, low_m, box_m, boxes, at_x, at_z, slope, aspect, cap, o
                 box = np.int64(((base + top) / 2.0 - low_m) / box_m)
                 first = start[c * boxes + min(max(box, 0), boxes - 1)]
                 rows = start[c * boxes], first, start[(c + 1) * boxes]
-                found += _column(x, z, rows, place, (base, top), near)
+                found += _column(x, z, rows, ellipse, (base, top), near)
                 c += step
         for k in range(min(found, last + 1)):
             out[q, k] = near[k]
 
 
 @njit(inline="always")
-def _column(x, z, rows, place, span, near):  # type: ignore[no-untyped-def]
+def _column(x, z, rows, ellipse, span, near):  # type: ignore[no-untyped-def]
     """Sort photons of a column into the nearest ones, upwards and downwards; how many were."""
-    at_x, at_z, slope, narrow = place
+    at_x, at_z, slope, narrow = ellipse
     base, top = span
     last, found = len(near) - 1, 0
     low, first, high = rows

@@ -1,4 +1,4 @@
-"""Noise of a window: a density that is smooth in place and height, over the gate of each cell.
+"""Noise of a window: a density smooth along the track and in height, over the gate of each cell.
 
 Noise density is what photons that no surface explains have, over the area where a photon would be
 one of them: both are taken from the same scores, so a surface adds to neither. It is the mean of
@@ -87,7 +87,7 @@ class Boxes:
         self.shape = cells, int(span_m // self.box_m) + 1
 
     def of(self, cell: NDArray[np.int64], z_m: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Box of each photon or place, (n,) int64."""
+        """Box of each photon or point, (n,) int64."""
         height = ((z_m - self.low_m) // self.box_m).astype(np.int64)
         boxes: NDArray[np.int64] = cell * self.shape[1] + np.clip(height, 0, self.shape[1] - 1)
         return boxes
@@ -108,7 +108,7 @@ def density(
     ``counts``, ``area_m2``: photons that are noise, and area in which a photon would be, of each
     box; ``surface``: (cells,), box of the water surface of each cell, -1 for none.
     """
-    place = _by_cell(counts, area_m2)
+    along = _by_cell(counts, area_m2)
     wet = surface[:, None] >= 0
     below = wet & (np.arange(counts.shape[1]) <= surface[:, None])
     medium = wet + below.astype(np.int64)
@@ -117,9 +117,9 @@ def density(
         mine = medium == one
         seen, expected = (
             _sums(np.where(mine, values, 0.0), _PROFILE_CELLS, _PROFILE_BOXES)
-            for values in (counts, area_m2 * place)
+            for values in (counts, area_m2 * along)
         )
-        np.copyto(found, place * (seen + _BELIEF) / (expected + _BELIEF), where=mine)
+        np.copyto(found, along * (seen + _BELIEF) / (expected + _BELIEF), where=mine)
     return found
 
 
@@ -135,30 +135,30 @@ def below_water(
     The density that counts fit best so is their isotonic regression (R. Barlow et al., Statistical
     Inference under Order Restrictions, 1972). ``field`` and the rest as of :func:`density`.
     """
-    place = _by_cell(counts, area_m2)
+    along = _by_cell(counts, area_m2)
     at = surface[:, None] - np.arange(counts.shape[1])
     seen, expected = (
         _sums(np.where(at >= 0, np.take_along_axis(values, np.maximum(at, 0), 1), 0.0),
               _PROFILE_CELLS, 0)
-        for values in (counts, area_m2 * place)
+        for values in (counts, area_m2 * along)
     )  # fmt: skip
     found = field.copy()
     for cell in np.flatnonzero(surface >= 0).tolist():
         weight = expected[cell] + 1.0
         falling = isotonic_regression((seen[cell] + 1.0) / weight, weights=weight, increasing=False)
         top = int(surface[cell])
-        found[cell, : top + 1] = place[cell] * falling.x[top::-1]
+        found[cell, : top + 1] = along[cell] * falling.x[top::-1]
     return found
 
 
 def _by_cell(counts: NDArray[np.float64], area_m2: NDArray[np.float64]) -> NDArray[np.float64]:
     """Noise density of each cell, nearer by nearer, (cells, 1) float64 [1/m2]."""
     each, length = counts.sum(axis=1), area_m2.sum(axis=1)
-    place = np.full(len(each), (each.sum() + 1.0) / (length.sum() + 1.0))
+    along = np.full(len(each), (each.sum() + 1.0) / (length.sum() + 1.0))
     for reach in _PLACES:
         believed = 2.0 * _BELIEF
-        place = (around(each, reach) + believed) / (around(length, reach) + believed / place)
-    return place[:, None]
+        along = (around(each, reach) + believed) / (around(length, reach) + believed / along)
+    return along[:, None]
 
 
 def _sums(values: NDArray[np.float64], cells: int, boxes: int) -> NDArray[np.float64]:

@@ -79,7 +79,7 @@ def noise_posterior(
     """Mean over k of ln P(noise | area within the k-th neighbour), (q,) float64; 0 and below.
 
     ``log_area``: (q, K), ln of areas [m2], infinite where a neighbour lies beyond ``reach_m2``;
-    ``noise``: (q,), density at each place [1/m2]; ``table``: by :func:`with_prior`.
+    ``noise``: (q,), density at each point [1/m2]; ``table``: by :func:`with_prior`.
     """
     out = np.empty(len(noise))
     ends = float(np.log(reach_m2)), table.first, table.step

@@ -2,7 +2,7 @@
 
 Beside ours there are the filters of [W17] as published, on a window and its margin for a channel.
 mDBSCAN [W17 3.1.2] takes photons in the ellipse of one whose own holds four times what ellipses at
-random places of the gate hold in the mean. The posterior [W17 4.1] is that of circles on an axis
+random points of the gate hold in the mean. The posterior [W17 4.1] is that of circles on an axis
 stretched by the noise rate, and the n_s photons least like noise are signal, n_s being all photons
 less the noise expected. Both take the noise rate from ours, the source from its product.
 """
@@ -71,8 +71,8 @@ def mdbscan(
     low = np.full(len(known.index), np.inf)
     np.minimum.at(low, known.cell, z_m)
     there = known.cell[at]
-    places = np.stack([s_m[at], low[there] + rng.random(ELLIPSES) * known.gate_m[there]], axis=1)
-    mean = tree.query_ball_point(places / semi_m, 1.0, return_length=True).mean()
+    points = np.stack([s_m[at], low[there] + rng.random(ELLIPSES) * known.gate_m[there]], axis=1)
+    mean = tree.query_ball_point(points / semi_m, 1.0, return_length=True).mean()
     # Where all drawn ellipses are empty a photon of its own is no multiple of them.
     core: NDArray[np.bool_] = np.asarray(inside >= settings.factor * max(mean, 1.0))
     if not core.any():

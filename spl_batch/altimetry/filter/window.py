@@ -1,18 +1,19 @@
 """Signal of a window of track: one likelihood for land and water, day and night.
 
-Photons of a window are noise, whose density is smooth in place and height, or signal, which may be
-a surface, canopy or a floor: signal is denser than noise by an unknown factor. A photon is scored
-by the areas that its first neighbours reach (:mod:`~spl_batch.altimetry.filter.posterior`), and
-noise is what scores low, over the area in which a photon would score low; both are repeated until
-they agree. How noise scores is not assumed: a noise photon sees the others as a place without a
-photon does (Slivnyak's theorem; Baddeley, *Spatial Point Processes*, 2007, 2.3), so places strewn
-evenly over the gate are scored as photons are. That gives the noise among the photons above every
-score, hence the F1 to be expected, and the score where it is largest is the threshold.
+Photons of a window are noise, whose density is smooth along the track and in height, or signal,
+which may be a surface, canopy or a floor: signal is denser than noise by an unknown factor. A
+photon is scored by the areas that its first neighbours reach
+(:mod:`~spl_batch.altimetry.filter.posterior`), and noise is what scores low, over the area in which
+a photon would score low; both are repeated until they agree. How noise scores is not assumed: a
+noise photon sees the others as a point without a photon does (Slivnyak's theorem; Baddeley,
+*Spatial Point Processes*, 2007, 2.3), so points strewn evenly over the gate are scored as photons
+are. That gives the noise among the photons above every score, hence the F1 to be expected, and the
+score where it is largest is the threshold.
 
 Below water it is another medium: where the signal shows a water surface, the noise below falls with
 depth, and what lies deeper than the surface has a threshold and a shape of its own.
 
-The places are those of Roberts' sequence (M. Roberts, *The Unreasonable Effectiveness of
+The points are those of Roberts' sequence (M. Roberts, *The Unreasonable Effectiveness of
 Quasirandom Sequences*, 2018), numbered by cell. A window is a function of its photons and those of
 its margin alone, so no cut of the track can change it.
 """
@@ -78,12 +79,12 @@ class Assessed:
     false: NDArray[np.float64]  #: (c,): those of them expected among the signal [count].
 
 
-class _Places(NamedTuple):
-    """Photons, or places where one may be."""
+class _Points(NamedTuple):
+    """Photons, or strewn points where one may be."""
 
     box: NDArray[np.int64]
     slope: NDArray[np.float64]
-    area_m2: NDArray[np.float64]  #: Area that each stands for; empty for photons.
+    area_m2: NDArray[np.float64]  #: Area that each represents; empty for photons.
 
 
 class _Found(NamedTuple):
@@ -91,20 +92,20 @@ class _Found(NamedTuple):
 
     score: NDArray[np.float64]
     above: NDArray[np.float64]  #: ln(-score) of each photon.
-    other: NDArray[np.float64]  #: The same of each place.
+    other: NDArray[np.float64]  #: The same of each strewn point.
     field: NDArray[np.float64]  #: (cells, heights): noise density [1/m2].
-    each: NDArray[np.float64]  #: Noise photons that each place stands for.
+    each: NDArray[np.float64]  #: Noise photons that each point represents.
 
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
     """Neighbours by one shape."""
 
-    photons: _Places
-    places: _Places
+    photons: _Points
+    strewn: _Points
     boxes: Boxes  #: What noise is counted in.
     near: NDArray[np.float64]  #: (n, K): logarithms of areas, of photons.
-    empty: NDArray[np.float64]  #: (q, K): of places.
+    empty: NDArray[np.float64]  #: (q, K): of strewn points.
     reach_m2: float  #: Area within the reach.
     table: Ratios
 
@@ -112,8 +113,8 @@ class _Seen:
         """Scores and noise, repeated from a first field until they agree."""
         total = 0.0
         for turn in range(_ROUNDS):
-            here, there = (field.reshape(-1)[side.box] for side in (self.photons, self.places))
-            each = there * self.places.area_m2
+            here, there = (field.reshape(-1)[side.box] for side in (self.photons, self.strewn))
+            each = there * self.strewn.area_m2
             part = np.clip(each.sum() / len(here), *_NOISE_SHARE)
             table = with_prior(self.table, float(np.log((1.0 - part) / part)))
             score = noise_posterior(self.near, self.reach_m2, here, table)
@@ -136,14 +137,14 @@ class _Seen:
         count = np.cumsum(np.histogram(found.other, _BINS, weights=found.each)[0])
         sure = _BINS[1 + np.searchsorted(count, _SURE_NOISE * count[-1])]
         low, empty = found.above < sure, found.other < sure
-        area_m2 = self.boxes.table(self.places.box[empty], self.places.area_m2[empty])
+        area_m2 = self.boxes.table(self.strewn.box[empty], self.strewn.area_m2[empty])
         return self.boxes.table(self.photons.box[low]), area_m2
 
     def below_water(self, field: NDArray[np.float64], surface: NDArray[np.int64]) -> _Found:
         """The same with noise of its own below water, which falls with depth."""
         found = self.agreed(field, surface)
         field = below_water(found.field, *self._unexplained(found), surface)
-        return found._replace(each=field.reshape(-1)[self.places.box] * self.places.area_m2)
+        return found._replace(each=field.reshape(-1)[self.strewn.box] * self.strewn.area_m2)
 
 
 def assess(
@@ -173,22 +174,22 @@ def assess(
         found: NDArray[np.float64] = SLOPES[lean[cell, np.clip(layer, 0, lean.shape[1] - 1)]]
         return found
 
-    photons = _Places(boxes.of(cell, z_m), slopes(cell, z_m), np.empty(0))
+    photons = _Points(boxes.of(cell, z_m), slopes(cell, z_m), np.empty(0))
     count = np.bincount(cell, minlength=cells)
     # Cells without photons may lie beyond the beam's ends, and between its pieces.
     gate_m = np.where(count > 0, high_m - low_m, 0.0)
-    at, place_x, place_z, share = _strewn(start, count, low_m, gate_m, cell_m)
-    places = _Places(boxes.of(at, place_z), slopes(at, place_z), share)
+    at, strewn_x, strewn_z, share = _strewn(start, count, low_m, gate_m, cell_m)
+    strewn = _Points(boxes.of(at, strewn_z), slopes(at, strewn_z), share)
     known, seen = columns(x_m, z_m), []
     for form in settings.shapes:
         shape = form.neighbours, form.aspect, settings.reach_m
         near = log_areas(known, (x_m, z_m), photons.slope, shape, own=True)
-        empty = log_areas(known, (place_x, place_z), places.slope, shape, own=False)
+        empty = log_areas(known, (strewn_x, strewn_z), strewn.slope, shape, own=False)
         table = ratios(form.neighbours, settings.contrast_max)
         reach_m2 = np.pi * settings.reach_m**2 / form.aspect
-        seen.append(_Seen(photons, places, boxes, near, empty, reach_m2, table))
+        seen.append(_Seen(photons, strewn, boxes, near, empty, reach_m2, table))
     dry = np.full(cells, -1)
-    field = _FIRST * density(boxes.table(photons.box), boxes.table(places.box, share), dry)
+    field = _FIRST * density(boxes.table(photons.box), boxes.table(strewn.box, share), dry)
     tried = [one.agreed(field, dry) for one in seen]
     every = np.ones(len(x_m), np.bool_), np.ones(len(at), np.bool_)
     best = _best(tried, *every, photons_factor)
@@ -204,7 +205,7 @@ def assess(
         ]
         mine, there = (
             (level[c] != NO_WATER) & (z < level[c] / QUANTA_PER_M - SURFACE_M)
-            for c, z in ((cell, z_m), (at, place_z))
+            for c, z in ((cell, z_m), (at, strewn_z))
         )
         best = _best(tried, mine, there, photons_factor)
         floor = int(np.count_nonzero(best.found.above[mine] >= best.least))
@@ -244,7 +245,7 @@ def _strewn(
     gate_m: NDArray[np.float64],
     cell_m: float,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Cell of each place, where it lies along the track and in height [m], and its area [m2]."""
+    """Cell of each point, where it lies along the track and in height [m], and its area [m2]."""
     many = np.clip(count // _PHOTONS_PER_PLACE, _LEAST_PLACES, _MOST_PLACES)
     many = np.where(count > 0, many, 0)
     cell = np.repeat(np.arange(len(count)), many)
@@ -268,13 +269,13 @@ class _Best(NamedTuple):
 def _best(
     tried: list[_Found],
     photons: NDArray[np.bool_],
-    places: NDArray[np.bool_],
+    strewn: NDArray[np.bool_],
     photons_factor: float,
 ) -> _Best:
-    """Shape and thresholds of some photons, by the places among them."""
+    """Shape and thresholds of some photons, by the strewn points among them."""
     each = [
         _Best(
-            *_threshold(one.above[photons], one.other[places], one.each[places], photons_factor),
+            *_threshold(one.above[photons], one.other[strewn], one.each[strewn], photons_factor),
             one,
         )
         for one in tried
@@ -284,7 +285,7 @@ def _best(
 
 def _threshold(
     photons: NDArray[np.float64],
-    places: NDArray[np.float64],
+    strewn: NDArray[np.float64],
     noise: NDArray[np.float64],
     photons_factor: float,
 ) -> tuple[float, float, float]:
@@ -294,7 +295,7 @@ def _threshold(
     that are so above any score. F1 is twice the signal taken over photons taken and all signal.
     """
     above = np.cumsum(np.histogram(photons, _BINS)[0][::-1])
-    below = np.cumsum(np.histogram(places, _BINS, weights=noise)[0][::-1])
+    below = np.cumsum(np.histogram(strewn, _BINS, weights=noise)[0][::-1])
     wanted = max(float((above - below).max()), 1.0)
     signal = np.clip(above - below, 0.0, wanted)
     f1 = 2.0 * signal / (above + wanted)

@@ -79,7 +79,7 @@ def find_labels(atl03: Path, files: Sequence[Path], beam: str) -> PhotonClasses 
 def terrain_heights(atl03: Path, files: Sequence[Path], beam: str) -> NDArray[np.float64]:
     """Terrain that ATL08 fits along a beam, (m, 2) float64: along-track distance, height [m].
 
-    A height is of a segment of ATL03, some 20 m, and stands at its middle; where a release has
+    A height is of a segment of ATL03, some 20 m, and lies at its middle; where a release has
     fits of 100 m alone, at the middle of these. From the first file that has some of this beam.
 
     Raises

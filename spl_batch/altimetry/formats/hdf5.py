@@ -65,7 +65,7 @@ def equal_lengths(path: Path, file: h5py.File, group: str, names: Sequence[str])
 
 @contextmanager
 def labelled_copy(source: Path, target: Path) -> Iterator[h5py.File]:
-    """Copy a file and give the copy for adding to; it appears when the block ends."""
+    """Copy a file and give the copy for adding to; it appears when the body ends."""
     with replacing(target) as temporary:
         shutil.copyfile(source, temporary)
         with h5py.File(temporary, "r+") as file:

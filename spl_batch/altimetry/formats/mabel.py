@@ -63,7 +63,7 @@ def _motion(path: Path, group: h5py.Group) -> tuple[float, float]:
     (lat0, lat1), (lon0, lon1) = ends["latitude"], ends["longitude"]
     _, _, distance = Geod(ellps="WGS84").inv(lon0, lat0, lon1, lat1)
     if distance <= 0:
-        raise InputError(str(path), f"{group.name}: first and last photon are at one place")
+        raise InputError(str(path), f"{group.name}: first and last photon are at one position")
     return float(np.floor(ends["delta_time"][0])), distance / duration
 
 

@@ -1,4 +1,4 @@
-"""Heights of a terrain raster at geographic places."""
+"""Heights of a terrain raster at geographic points."""
 
 import warnings
 from collections.abc import Iterator
@@ -31,7 +31,7 @@ def sample_terrain(
 ) -> NDArray[np.float64]:
     """Terrain height between the four nearest cell centres of band 1, (n,) float64 [m].
 
-    ``latitude``, ``longitude``: (n,), WGS 84 [deg]; NaN gives NaN, as do places outside and nodata.
+    ``latitude``, ``longitude``: (n,), WGS 84 [deg]; NaN gives NaN, as do points outside and nodata.
     A raster of any size is read by blocks.
 
     Raises
@@ -74,13 +74,13 @@ def extent_deg(path: Path) -> tuple[float, float, float, float]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[rasterio.DatasetReader]:
-    """A raster whose cells have a place, and whose blocks can be held."""
+    """A raster whose cells have a geotransform, and whose blocks can be held."""
     with warnings.catch_warnings():
         warnings.simplefilter("error", NotGeoreferencedWarning)
         try:
             raster = rasterio.open(path)
         except NotGeoreferencedWarning:
-            text = "does not say where its cells lie; write a geotransform (gdal_edit -a_ullr)"
+            text = "does not state where its cells lie; write a geotransform (gdal_edit -a_ullr)"
             raise InputError(str(path), text) from None
     with raster:
         if raster.crs is None:
@@ -103,6 +103,6 @@ def _between(
     wide = min(_BLOCK + 1, raster.width - left)
     values = raster.read(1, window=Window(left, top, wide, tall), masked=True)
     cells = values.astype(np.float64).filled(np.nan)
-    place = [row - top, column - left]
-    height: NDArray[np.float64] = ndimage.map_coordinates(cells, place, order=1, mode="nearest")
+    centre = [row - top, column - left]
+    height: NDArray[np.float64] = ndimage.map_coordinates(cells, centre, order=1, mode="nearest")
     return height

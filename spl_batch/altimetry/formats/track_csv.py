@@ -79,7 +79,7 @@ def _names(path: Path, head: bytes) -> dict[str, str]:
 
 
 def slices(path: Path) -> Iterator[Slice]:
-    """Photons by blocks of a MiB of text, 262 144 at most."""
+    """Photons by batches of a MiB of text, 262 144 at most."""
     with open_input(path) as stream:
         names = _names(path, stream.read(_HEAD_BYTES))
         stream.seek(0)

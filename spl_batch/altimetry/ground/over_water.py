@@ -2,7 +2,7 @@
 
 Over water ``ground`` is the surface, as ATL08 has it, and never the floor: one line that jumped
 between both would be neither. The floor is sought like ground among the photons below the surface,
-and has columns of its own. What stands above water is no canopy.
+and has columns of its own. What lies above water is no canopy.
 """
 
 from typing import Any, Final

@@ -36,7 +36,9 @@ class TrackCounts(Part):
     points_out: Count = Field(description="Photons in the delivered tables [count].")
     signal: Count = Field(0, description="Labelled 1 [count].")
     background: Count = Field(0, description="Labelled 0: noise [count].")
-    not_assessed: Count = Field(0, description="Labelled 255: no place, or a failed task [count].")
+    not_assessed: Count = Field(
+        0, description="Labelled 255: no position, or a failed task [count]."
+    )
 
 
 class Agreement(Part):

@@ -41,7 +41,7 @@ class TrackAxis:
         return cls(at[long] + cell, np.cumsum(np.r_[0.0, step[long] - 2.0 * cell]))
 
     def km(self, at: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Places of distances [m] on the axis [km]."""
+        """Positions of distances [m] on the axis [km]."""
         shown: NDArray[np.float64] = at - self.left_out[np.searchsorted(self.gap, at)]
         return shown / 1000
 

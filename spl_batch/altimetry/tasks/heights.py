@@ -91,16 +91,16 @@ def _heights(
 def _where(
     beam: str, along_m: NDArray[np.float64], context: Context
 ) -> dict[str, NDArray[np.float64]]:
-    """Latitude and longitude of places along a beam, between the first photons of its cells."""
-    places = read_arrays(context.store.path("places", f"{beam}.npz"))
-    known = np.isfinite(places["latitude"]) & np.isfinite(places["longitude"])
+    """Latitude and longitude of points along a beam, between the first photons of its cells."""
+    firsts = read_arrays(context.store.path("places", f"{beam}.npz"))
+    known = np.isfinite(firsts["latitude"]) & np.isfinite(firsts["longitude"])
     if not known.any():
         return dict.fromkeys(_WHERE, np.full(len(along_m), np.nan))
-    at = places["index"][known] * context.workflow.rate.cell_m
+    at = firsts["index"][known] * context.workflow.rate.cell_m
     # Unwrapped, so that nothing is interpolated through Greenwich at the date line.
-    longitude = np.interp(along_m, at, np.unwrap(places["longitude"][known], period=360.0))
+    longitude = np.interp(along_m, at, np.unwrap(firsts["longitude"][known], period=360.0))
     return {
-        "latitude": np.interp(along_m, at, places["latitude"][known]),
+        "latitude": np.interp(along_m, at, firsts["latitude"][known]),
         "longitude": (longitude + 180.0) % 360.0 - 180.0,
     }
 
@@ -180,14 +180,14 @@ def _nothing_near(
 
 
 def between(at: NDArray[np.float64], known: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Heights at places, NaN beyond those known and where these are far apart [m]."""
+    """Heights at distances along the track [m], NaN where none is known or these are far apart."""
     if not len(known):
         return np.full(len(at), np.nan)
-    places, values = known.T
-    heights: NDArray[np.float64] = np.interp(at, places, values, left=np.nan, right=np.nan)
+    along_m, values = known.T
+    heights: NDArray[np.float64] = np.interp(at, along_m, values, left=np.nan, right=np.nan)
     if len(known) > 1:
-        after = np.clip(np.searchsorted(places, at), 1, len(places) - 1)
-        low, high = places[after - 1], places[after]
+        after = np.clip(np.searchsorted(along_m, at), 1, len(along_m) - 1)
+        low, high = along_m[after - 1], along_m[after]
         heights[(high - low > REFERENCE_GAP_M) & (low < at) & (at < high)] = np.nan
     return heights
 

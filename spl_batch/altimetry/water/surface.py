@@ -3,7 +3,7 @@
 Water is level where land is not: photons of 800 m within half a metre of a line of slope
 0.0007 or less, whose cells scatter by a wave, in most of its cells, with next to nothing above.
 
-A product places photons as if light went through air all the way. In water it is slower and bends:
+A product locates photons as if light went through air all the way. In water it is slower and bends:
 a floor seems deeper than it is, by a third at nadir. The correction is that of C. Parrish et al.
 (Remote Sens. 11, 1634, 2019) for a level surface: S = D / cos(t1) is the slant range in air,
 R = S n1 / n2 that in water, and a photon is lifted by the height of their difference as vectors.

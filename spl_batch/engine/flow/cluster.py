@@ -47,7 +47,7 @@ SETTINGS: Final[Mapping[str, Any]] = {
     "distributed.worker.memory.terminate": 0.95,
     # dask has workers give back each freed page at once. Tables of points come and go by the
     # hundred, arrays of a region by the dozen: page faults took a tenth to a sixth of the
-    # processor's time. So all that a worker allocates, Arrow's memory too, lies in one place, in
+    # processor's time. So all that a worker allocates, Arrow's memory too, lies in one heap, in
     # large pages where the system has them, and is used again.
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": KEPT_BYTES,
     "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_MAX_": 0,

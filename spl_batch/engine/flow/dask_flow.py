@@ -266,21 +266,21 @@ class _Watch:
                 return
 
     def _count(self, found: Mapping[str, Mapping[str, Any]]) -> None:
-        now, tell = time.monotonic(), self._of.observer.notify
+        now, notify = time.monotonic(), self._of.observer.notify
         for address in self.known.keys() - found.keys():
-            tell(Note("info", f"worker {address} is lost; other workers do its tasks"))
+            notify(Note("info", f"worker {address} is lost; other workers do its tasks"))
         if found:
             self._populated_s = now
         elif self._of.local and now - self._populated_s > PATIENCE_S:
             raise StoppedError("all workers are gone and do not come back; run again to continue")
         elif not self._waiting:
-            tell(Note("info", "no worker is connected; waiting for one"))
+            notify(Note("info", "no worker is connected; waiting for one"))
         self._waiting = not found
         self.known = {address: int(facts["nthreads"]) for address, facts in found.items()}
         used = [float(facts["metrics"].get("memory", 0)) for facts in found.values()]
         limits = [float(f["memory_limit"]) for f in found.values() if f["memory_limit"]]
         most, limit = (round(v / 2**20, 1) for v in (max(used, default=0), min(limits, default=0)))
-        tell(WorkersSeen(len(found), sum(self.known.values()), most, limit))
+        notify(WorkersSeen(len(found), sum(self.known.values()), most, limit))
 
 
 def workers_of(client: Any) -> dict[str, Mapping[str, Any]]:

@@ -1,7 +1,7 @@
 """Preparation of this machine beside a run: processes get ready what its tasks call.
 
 They go through the steps in order, and a task waits for its own step alone: a processor that has
-no task yet works ahead for later steps.
+no task yet prepares later steps.
 """
 
 import contextlib
@@ -47,7 +47,7 @@ class WarmUp:
     steps: Sequence[str]  #: Those whose tasks need some of it, in order.
     what: str  #: What is being done, in words.
     #: It is there once all is ready: no process is started then. Marks beside it that differ before
-    #: a hyphen are of other code, whose place what is got ready takes.
+    #: a hyphen are of other code, which what is got ready replaces.
     mark: Path
     processes: int  #: How many are started [count].
     waited_s: float | None = None  #: How long tasks had to wait; None where all was ready [s].
@@ -98,7 +98,7 @@ class WarmUp:
 
     @contextlib.contextmanager
     def beside(self) -> Iterator[None]:
-        """Have the processes at work while a block runs, or what in it begins them again."""
+        """Have the processes at work while a body runs, or what in it begins them again."""
         self.begin()
         try:
             yield

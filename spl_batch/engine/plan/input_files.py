@@ -92,7 +92,7 @@ CHECK: Final = "check the path, which is relative to the folder of the workflow 
 def expand(
     names: str | Sequence[str] | None, base: Path, key: str, faults: list[str]
 ) -> tuple[Path, ...]:
-    """Paths that patterns stand for, each once.
+    """Paths that patterns match, each once.
 
     Parameters
     ----------
@@ -118,13 +118,13 @@ def expand(
 
 
 def matching(name: str, base: Path) -> list[Path]:
-    """Files that a path or pattern stands for, in order; a path need not be there.
+    """Files that a path names or a pattern matches, in order; a path need not be there.
 
     Folders and files that have such a name are meant by it, whatever brackets it holds: only what
     follows them is a pattern.
     """
     folder, rest = base, PurePath(name).parts
-    while rest and os.path.exists(folder / rest[0]):  # noqa: PTH110 - no place of others' raises
+    while rest and os.path.exists(folder / rest[0]):  # noqa: PTH110 - no folder of others' raises
         folder, rest = folder / rest[0], rest[1:]
     pattern = os.path.join("", *rest)  # noqa: PTH118 - as glob takes it
     if not glob.has_magic(pattern):

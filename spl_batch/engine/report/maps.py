@@ -64,7 +64,7 @@ def reduce_raster(raster: Raster, largest: int = LARGEST_PX) -> Raster:
     Returns
     -------
     Raster
-        The same values where they fit, else means of squares; the extent grows to whole ones.
+        The same values where they fit, else means of groups of cells; the extent is of whole ones.
     """
     rows, columns = raster.values.shape
     step = -(-int(max(rows, columns)) // largest)

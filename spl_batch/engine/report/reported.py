@@ -31,7 +31,7 @@ def reported(
     notes : bool
         Whether notes for the operator are wanted, too.
     units : Units
-        What sentences give places and heights in.
+        What sentences give coordinates and heights in.
     """
     alike: dict[tuple[object, ...], list[Finding]] = {}
     for one in settled(findings, ignored):
@@ -82,7 +82,7 @@ def _subject(subjects: Sequence[str], noun: str, *, graded: bool) -> str:
 
 
 def _within(place: Box, units: Units) -> str:
-    name, unit_m = units.of_places
+    name, unit_m = units.of_coordinates
     west, south, east, north = (grouped(round(side / unit_m)) for side in place)
     return f"within x {west} to {east} and y {south} to {north} {name}"
 

@@ -108,8 +108,8 @@ def remember(done: Receipts, context: RunContext[Any], facts: RunFacts) -> None:
 @cache
 def report_code(receiver: str) -> str:
     """Hash of the code that makes a receiver's plan and report, which decides no result."""
-    places = (HOMES[receiver].receiver, HOMES[receiver].summarise)
-    files = (module_file(place.partition(":")[0]) for place in places)
+    entries = (HOMES[receiver].receiver, HOMES[receiver].summarise)
+    files = (module_file(entry.partition(":")[0]) for entry in entries)
     modules = frozenset[Path]().union(*(imported(file) for file in files if file is not None))
     pages = {page for folder in {file.parent for file in modules} for page in folder.glob("*.j2")}
     return f"{content_hash({*modules, *pages})} matplotlib {version('matplotlib')}"

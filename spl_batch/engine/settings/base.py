@@ -52,7 +52,7 @@ def _whole_quanta(edge_m: float) -> float:
 
 
 Edge = Annotated[Positive, AfterValidator(_whole_quanta)]
-"""Edge of a square of an absolute grid, in metres."""
+"""Edge of a cell of an absolute grid, in metres."""
 
 
 class Section(BaseModel):

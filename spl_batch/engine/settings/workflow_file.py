@@ -157,22 +157,22 @@ def _fault(error: Any, model: type[BaseModel]) -> str:
     # pydantic names the member of a union on the way, as in survey.sensor.Sensor.prf.
     loc = map(str, error["loc"])
     parts = [part for part in loc if not (part[:1].isupper() or part.startswith("tuple["))]
-    place = ".".join(parts[:-1] if parts[-1:] == ["str"] else parts)
+    key = ".".join(parts[:-1] if parts[-1:] == ["str"] else parts)
     if error["type"] == "extra_forbidden":
         near = _nearest([part for part in parts if not part.isdigit()], [*_keys(model)])
-        return f"{place}: no such key; the nearest known key is {near!r}"
+        return f"{key}: no such key; the nearest known key is {near!r}"
     message = error["msg"].removeprefix("Value error, ")
-    if error["type"] == "float_parsing" and place.endswith("_m"):
+    if error["type"] == "float_parsing" and key.endswith("_m"):
         message = "this key takes a number of metres, without a unit"
     elif error["type"] == "tuple_type":
         message = "write a list" + (
             f", [{shortened(given, 100)}]" if isinstance(given, str) else ""
         )
     elif error["type"] == "model_type":
-        names = [key[-1] for key in _keys(model) if key[:-1] == tuple(parts)]
+        names = [name[-1] for name in _keys(model) if name[:-1] == tuple(parts)]
         message = f"write a mapping with the keys {named(list(dict.fromkeys(names)))}"
     shown = "" if isinstance(given, dict) else f" (found {shortened(repr(given), 100)})"
-    return f"{place}: {message[0].lower()}{message[1:]}{shown}" if place else message
+    return f"{key}: {message[0].lower()}{message[1:]}{shown}" if key else message
 
 
 def _nearest(names: Sequence[str], known: Sequence[tuple[str, ...]]) -> str:

@@ -27,7 +27,7 @@ PATIENCE_S: Final = 1.0
 def locked(output: Path) -> Iterator[str]:
     """Keep two runs out of one output; WorkflowError if one works there, or none can write there.
 
-    Gives what the lock file holds while the block runs: who works here, and a token that no other
+    Gives what the lock file holds while the body runs: who works here, and a token that no other
     run has.
     """
     path = lock_file(output)

@@ -38,7 +38,7 @@ class RunContext(Generic[W]):
 
     @property
     def shown_units(self) -> Units:
-        """Units in which report and screen give places and heights."""
+        """Units in which report and screen give coordinates and heights."""
         return Units.of(self.crs)
 
     def resolve(self, name: str) -> Path:

@@ -41,8 +41,8 @@ class Step:
     @property
     def modules(self) -> list[str]:
         """Names of the modules that hold what workers call."""
-        places = [place for place in (self.run, self.bind) if place is not None]
-        return [p.partition(":")[0] if isinstance(p, str) else p.__module__ for p in places]
+        targets = [one for one in (self.run, self.bind) if one is not None]
+        return [p.partition(":")[0] if isinstance(p, str) else p.__module__ for p in targets]
 
     def loaded(self) -> TaskFunction:
         """The function itself."""

@@ -82,17 +82,17 @@ def init(folder: Path | str, *, force: bool = False) -> Beginning:
     WorkflowError
         If no file there can be used, or a workflow is there already.
     """
-    place = Path(folder)
-    target = place / NAME
+    base = Path(folder)
+    target = base / NAME
     if target.exists() and not force:
         raise WorkflowError(
             f"{target} is there already; `spl-batch plan` reads it, --force replaces"
         )
-    drafts = (begin(place) for kind in HOMES if (begin := beginner(kind)) is not None)
+    drafts = (begin(base) for kind in HOMES if (begin := beginner(kind)) is not None)
     draft: Beginning | None = next((draft for draft in drafts if draft is not None), None)
     if draft is None:
         inputs = ", and no ".join(home.inputs for home in HOMES.values() if home.begin)
-        raise WorkflowError(f"{place}: no {inputs} below it; name the folder that holds them")
+        raise WorkflowError(f"{base}: no {inputs} below it; name the folder that holds them")
     write_bytes(target, draft.text.encode())
     return replace(draft, workflow=target)
 
@@ -101,8 +101,8 @@ def headed(page: str) -> Beginning:
     """Begin a file, with the name of the page that explains its keys."""
     return Beginning(
         [
-            "# Written by `spl-batch init` from what the files tell. A `?` marks what they do not",
-            "# tell: look at these lines first. The keys that are not here are explained in",
+            "# Written by `spl-batch init` from what the files state. A `?` marks what they do not",
+            "# state: look at these lines first. The keys that are not here are explained in",
             f"# docs/{page}.md.",
             "#",
             "#   spl-batch plan workflow.yaml    what a run costs, what is wrong with the inputs",
@@ -134,12 +134,12 @@ def _scalar(value: str) -> str:
 def patterns(base: Path, paths: Sequence[Path]) -> str | list[str]:
     """Files below a folder as patterns where these match nothing else, else by name."""
     found: list[str] = []
-    for place in sorted({path.parent for path in paths}):
-        for suffix in sorted({path.suffix for path in paths if path.parent == place}):
-            these = sorted(p for p in paths if p.parent == place and p.suffix == suffix)
+    for parent in sorted({path.parent for path in paths}):
+        for suffix in sorted({path.suffix for path in paths if path.parent == parent}):
+            these = sorted(p for p in paths if p.parent == parent and p.suffix == suffix)
             pattern = f"*{suffix}"
-            if len(these) > 1 and these == sorted(place.glob(pattern)):
-                found.append((place.relative_to(base) / pattern).as_posix())
+            if len(these) > 1 and these == sorted(parent.glob(pattern)):
+                found.append((parent.relative_to(base) / pattern).as_posix())
             else:
                 found += [path.relative_to(base).as_posix() for path in these]
     return found[0] if len(found) == 1 else found
@@ -151,13 +151,13 @@ def files_below(folder: Path) -> list[Path]:
 
 
 def _files(folder: Path) -> Iterator[Path]:
-    for place, folders, names in os.walk(folder):
+    for parent, folders, names in os.walk(folder):
         folders[:] = [
             name
             for name in folders
-            if not name.startswith(".") and not _is_output(Path(place, name))
+            if not name.startswith(".") and not _is_output(Path(parent, name))
         ]
-        yield from (Path(place, name) for name in names if not name.startswith("."))
+        yield from (Path(parent, name) for name in names if not name.startswith("."))
 
 
 def _is_output(folder: Path) -> bool:

@@ -156,8 +156,8 @@ def folder_of(name: str) -> str:
 
 def store_of(output: Path, name: str, url: str | None) -> Store:
     """Working store of a method: each has one of its own."""
-    place = folder_of(name)
-    return Store(output / place, f"{url.rstrip('/')}/{place}" if url else None)
+    folder = folder_of(name)
+    return Store(output / folder, f"{url.rstrip('/')}/{folder}" if url else None)
 
 
 def share_finished(source: Store, target: Store, kinds: Iterable[str]) -> None:

@@ -62,8 +62,8 @@ class Deliveries:
     @property
     def anything_there(self) -> bool:
         """Whether anything is left of earlier runs, finished tasks among it."""
-        places = (self.output / "store" / "receipts", *map(self.output.joinpath, self.files))
-        return any(place.exists() for place in places)
+        paths = (self.output / "store" / "receipts", *map(self.output.joinpath, self.files))
+        return any(path.exists() for path in paths)
 
     def save(self) -> None:
         """Write the record."""

@@ -120,7 +120,7 @@ def fitting_cost(prepared: Prepared[Any, Any]) -> Cost:
 
 def _too_full(output: Path, needed: int) -> Iterator[Finding]:
     """A note where the file system of the output has less room than is expected to be taken."""
-    there = next(place for place in (output, *output.parents) if place.exists())
+    there = next(path for path in (output, *output.parents) if path.exists())
     free = shutil.disk_usage(there).free
     if needed > free:
         yield Finding("E01", {"kind": "disk", "needed": storage(needed), "free": storage(free)})

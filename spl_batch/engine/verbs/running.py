@@ -259,8 +259,8 @@ def _rest(progress: Progress) -> None:
     """Record that everything is finished."""
     store = progress.prepared.context.store
     if store.url is None:  # folders elsewhere have no times
-        below = (place for place, _, _ in os.walk(store.local))
-        folders = sorted({str(Path(place).relative_to(store.local)) for place in below} - {"."})
+        below = (folder for folder, _, _ in os.walk(store.local))
+        folders = sorted({str(Path(folder).relative_to(store.local)) for folder in below} - {"."})
         content = {"folders": folders, "state": _state(progress, folders)}
         write_json(store.local / REST, content)
 

@@ -55,7 +55,7 @@ def scratch_name(path: Path) -> Path:
 
 @contextmanager
 def owned_by(mark: str, content: str) -> Iterator[None]:
-    """Put nothing in place in this block, in this thread, once somebody else works there.
+    """Put nothing in place in this context, in this thread, once somebody else works there.
 
     A task goes on when its run is killed elsewhere. It must not replace what the next run makes
     with other settings.
@@ -65,7 +65,7 @@ def owned_by(mark: str, content: str) -> Iterator[None]:
     mark : str
         Path of a file that names who works there.
     content : str
-        What it holds for the run of this block.
+        What it holds for the run of this context.
     """
     token = _OWNER.set((mark, content))
     try:
@@ -83,7 +83,7 @@ def _stop_if_disowned() -> None:
 
 @contextmanager
 def replacing(path: Path, *, durable: bool = True) -> Iterator[Path]:
-    """Give a temporary name beside ``path``; rename it into place when the block succeeds.
+    """Give a temporary name beside ``path``; rename it into place when the body succeeds.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def replacing(path: Path, *, durable: bool = True) -> Iterator[Path]:
     StoppedError
         If the disk is full, or another run has taken the temporary file away.
     WorkflowError
-        If the place cannot be written.
+        If the path cannot be written.
     """
     if is_remote(path):
         try:
@@ -131,7 +131,7 @@ def replacing(path: Path, *, durable: bool = True) -> Iterator[Path]:
 
 @contextmanager
 def scratch_folder(path: Path) -> Iterator[Path]:
-    """A folder beside ``path`` for by-products; gone when the block ends."""
+    """A folder beside ``path`` for by-products; gone when the body ends."""
     folder = scratch_name(path)
     _make_folder(folder, durable=False)
     try:
@@ -140,20 +140,20 @@ def scratch_folder(path: Path) -> Iterator[Path]:
         remove(folder)
 
 
-def stop_if_full(error: BaseException, place: object) -> None:
+def stop_if_full(error: BaseException, target: object) -> None:
     """Raise :class:`StoppedError` where a full disk is behind an error, however it is wrapped.
 
     Parameters
     ----------
     error : BaseException
         What was raised; its causes are looked at too.
-    place : object
+    target : object
         What could not be written, for the message.
     """
     behind: BaseException | None = error
     while behind is not None:
         if isinstance(behind, OSError) and behind.errno in _CONCERNS_EVERYTHING:
-            raise StoppedError(f"{place}: {_CONCERNS_EVERYTHING[behind.errno]}") from error
+            raise StoppedError(f"{target}: {_CONCERNS_EVERYTHING[behind.errno]}") from error
         behind = behind.__cause__ or behind.__context__
 
 
@@ -170,12 +170,12 @@ def sweep(folder: Path) -> tuple[int, int]:
     count = total = 0
     tops = [folder, *(p for p in folder.iterdir() if p.is_symlink() and p.is_dir())]
     for top in tops:
-        for place, folders, files in os.walk(top):
-            if place != str(top) and Path(place, "store", "lock").exists():
+        for parent, folders, files in os.walk(top):
+            if parent != str(top) and Path(parent, "store", "lock").exists():
                 folders.clear()
                 continue
             for name in filter(_SCRATCH_NAME.fullmatch, [*folders, *files]):
-                path = Path(place, name)
+                path = Path(parent, name)
                 total += max(size(path), 0)
                 count += 1
                 remove(path)
@@ -223,8 +223,8 @@ def checksum(path: Path) -> str:
             digest.update(read_object(file))
             continue
         with file.open("rb") as stream:
-            while block := stream.read(1 << 20):
-                digest.update(block)
+            while part := stream.read(1 << 20):
+                digest.update(part)
     return digest.hexdigest()
 
 
@@ -287,7 +287,7 @@ def remove(path: Path) -> None:
     elif path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:
-        # Where a file stands in place of the folder there is nothing to remove either.
+        # Where a file is in place of the folder there is nothing to remove either.
         with suppress(FileNotFoundError, NotADirectoryError):
             path.unlink()
 
@@ -323,7 +323,7 @@ def _sync(path: Path) -> None:
         with path.open("r+b" if _WINDOWS else "rb") as stream:
             os.fsync(stream.fileno())
         return
-    for place, _, files in os.walk(path):
+    for parent, _, files in os.walk(path):
         for name in files:
-            _sync(Path(place, name))
-        sync_folder(Path(place))
+            _sync(Path(parent, name))
+        sync_folder(Path(parent))

@@ -1,4 +1,4 @@
-"""Places on an object store: paths that look like pathlib's, and whole objects only.
+"""Locations on an object store: paths that look like pathlib's, and whole objects only.
 
 An object is written to a local temporary file and then put in one request: it is there as a whole
 or not at all. Failures of the store concern everything: they stop the run.
@@ -72,7 +72,7 @@ def reaching(path: Path) -> Iterator[None]:
 
 @contextmanager
 def uploading(path: Path) -> Iterator[Path]:
-    """Give a local temporary name; put the file in place when the block succeeds."""
+    """Give a local temporary name; put the file in place when the body succeeds."""
     with TemporaryDirectory(prefix="spl_batch.upload.") as folder:
         temporary = Path(folder, path.name)
         yield temporary

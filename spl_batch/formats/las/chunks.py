@@ -67,7 +67,7 @@ def _chunk_table(header: LasHeader, file: BinaryIO, laszip: bytes) -> ChunkTable
     start_byte = header.points_start + 8
     size = header.n_points * header.record_size
     refuse_bomb(path, f"{header.n_points} points", size, header.size_bytes - start_byte)
-    table_byte = _table_place(header, file, start_byte)
+    table_byte = _table_offset(header, file, start_byte)
     variable = chunk_points == VARIABLE
     exact = -(-header.n_points // chunk_points)
     count = bounded(
@@ -88,10 +88,10 @@ def _chunk_table(header: LasHeader, file: BinaryIO, laszip: bytes) -> ChunkTable
     points = np.concatenate([[0], np.cumsum(table[:, 0])])
     if not variable:
         points = np.minimum(np.arange(count + 1) * chunk_points, header.n_points)
-    places = np.concatenate([[start_byte], start_byte + np.cumsum(table[:, 1])])
+    offsets = np.concatenate([[start_byte], start_byte + np.cumsum(table[:, 1])])
     largest = np.diff(points).max()
     bounded(path, "points of a LAZ chunk", largest, most=CHUNK_POINTS_MAX, remedy=_REMEDY)
-    return ChunkTable(points.astype(np.int64), places.astype(np.int64))
+    return ChunkTable(points.astype(np.int64), offsets.astype(np.int64))
 
 
 def _check_entries(
@@ -154,20 +154,20 @@ def chunk_layers(packed: bytes, record_size: int, n_layers: int) -> list[bytes]:
     return [packed[a:b] for a, b in pairwise(ends)]
 
 
-def _table_place(header: LasHeader, file: BinaryIO, start_byte: int) -> int:
+def _table_offset(header: LasHeader, file: BinaryIO, start_byte: int) -> int:
     """Byte of the chunk table; the file is left there."""
     size = header.size_bytes
     bounded(header.path, "byte at which its points start", header.points_start, most=size - 8)
-    place = chunk_table_byte(header, file)
-    if size - 8 < place < 2**48:
+    offset = chunk_table_byte(header, file)
+    if size - 8 < offset < 2**48:
         raise InputError(
             str(header.path),
             f"it is cut off: it has {grouped(size)} bytes, and its LAZ chunk table begins at byte "
-            f"{grouped(place)}; copy it again",
+            f"{grouped(offset)}; copy it again",
         )
-    bounded(header.path, "byte of its LAZ chunk table", place, least=start_byte, most=size - 8)
-    file.seek(place)
-    return place
+    bounded(header.path, "byte of its LAZ chunk table", offset, least=start_byte, most=size - 8)
+    file.seek(offset)
+    return offset
 
 
 class RecordReader:

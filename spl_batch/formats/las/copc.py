@@ -18,7 +18,7 @@ from spl_batch.errors import InputError
 from spl_batch.formats.crs import WKT_KEY
 from spl_batch.formats.las.chunks import LASZIP_KEY, VARIABLE, RecordReader
 from spl_batch.formats.las.frame import (
-    PLACE,
+    OFFSET,
     Extent,
     Frame,
     framed,
@@ -89,12 +89,12 @@ def write_copc(path: Path, frame: Frame, records: NDArray[Any]) -> int:
     frame = replace(frame, vlrs=[info, *frame.vlrs], evlrs=())
     with output_file(path) as file:
         with framed(file, frame, laz, extent) as more:
-            place = file.tell() + PLACE.size
+            offset = file.tell() + OFFSET.size
             hierarchy = b""
             for node, (count, size) in zip(nodes, write_chunks(file, laz, chunks()), strict=True):
                 key = (node.level, node.x, node.y, node.z)
-                hierarchy += _ENTRY.pack(*key, place, size, count)
-                place += size
+                hierarchy += _ENTRY.pack(*key, offset, size, count)
+                offset += size
             more.append(Vlr(_USER, _HIERARCHY_ID, b"COPC hierarchy", hierarchy))
             root = file.seek(0, 2) + EVLR_HEAD.size, len(hierarchy)
         file.seek(_INFO_START)
@@ -185,12 +185,12 @@ def _nodes_of_level(
     xyz: NDArray[np.int64], rest: NDArray[np.intp], level: int, log2_size: int
 ) -> Iterator[Node]:
     """Nodes of one level; their records are positions in ``rest``."""
-    place = xyz[rest] >> max(log2_size - level, 0)
+    octant = xyz[rest] >> max(log2_size - level, 0)
     cell_shift = log2_size - level - _CELLS_LOG2
-    order = np.lexsort((place[:, 2], place[:, 1], place[:, 0]))
-    new_node = np.flatnonzero(np.any(np.diff(place[order], axis=0) != 0, axis=1)) + 1
+    order = np.lexsort((octant[:, 2], octant[:, 1], octant[:, 0]))
+    new_node = np.flatnonzero(np.any(np.diff(octant[order], axis=0) != 0, axis=1)) + 1
     for members in np.split(order, new_node):
-        keys = place[members[0]].tolist()
+        keys = octant[members[0]].tolist()
         # Cells no larger than a coordinate step cannot thin any more.
         if len(members) > _LEAF_POINTS and cell_shift > 0:
             x, y, z = (xyz[rest[members]] >> cell_shift).T & (2**_CELLS_LOG2 - 1)

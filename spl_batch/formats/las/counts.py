@@ -15,9 +15,9 @@ from spl_batch.formats.las.header import EVLR_HEAD, LasHeader
 _REST_BYTES: Final = 4
 """Bytes that compressed points may leave over [byte]; LASzip's and lazrs's leave none."""
 
-_BLOCK_BYTES: Final = 1 << 20
+_READ_BYTES: Final = 1 << 20
 _WAVEFORMS_AT: Final = 227
-"""Where a header of LAS 1.3 and later has the place of the waveforms."""
+"""Where a header of LAS 1.3 and later has the offset of the waveforms."""
 
 
 def miscounted(header: LasHeader, there: str) -> InputError:
@@ -47,9 +47,9 @@ def refuse_uncounted_chunks(header: LasHeader, file: BinaryIO) -> None:
     The first point of a chunk lies in it as it is: a chunk is no shorter than a record.
     """
     start = header.points_start + 8
-    stop, place = _points_stop(header, start), chunk_table_byte(header, file)
-    if start <= place <= header.size_bytes - 8:
-        stop = place
+    stop, offset = _points_stop(header, start), chunk_table_byte(header, file)
+    if start <= offset <= header.size_bytes - 8:
+        stop = offset
     if _holds_data(file, start, stop, header.record_size):
         raise miscounted(header, f"{grouped(stop - start)} bytes of compressed points lie in it")
 
@@ -57,11 +57,11 @@ def refuse_uncounted_chunks(header: LasHeader, file: BinaryIO) -> None:
 def chunk_table_byte(header: LasHeader, file: BinaryIO) -> int:
     """Byte of the LAZ chunk table, as the file has it; a stream has it in its last 8 bytes."""
     file.seek(header.points_start)
-    place = int.from_bytes(file.read(8), "little", signed=True)
-    if place == -1 and header.size_bytes >= header.points_start + 16:
+    offset = int.from_bytes(file.read(8), "little", signed=True)
+    if offset == -1 and header.size_bytes >= header.points_start + 16:
         file.seek(header.size_bytes - 8)
-        place = int.from_bytes(file.read(8), "little", signed=True)
-    return place
+        offset = int.from_bytes(file.read(8), "little", signed=True)
+    return offset
 
 
 def refuse_uncounted_rest(header: LasHeader, laszip: bytes, packed: bytes, count: int) -> None:
@@ -86,20 +86,20 @@ def refuse_uncounted_rest(header: LasHeader, laszip: bytes, packed: bytes, count
 
 def _points_stop(header: LasHeader, least: int) -> int:
     """Byte at which what follows the points starts; not before ``least``."""
-    places = [evlr.start - EVLR_HEAD.size for evlr in header.evlrs]
+    offsets = [evlr.start - EVLR_HEAD.size for evlr in header.evlrs]
     if header.version[1] >= 3:
-        place = header.raw[_WAVEFORMS_AT : _WAVEFORMS_AT + 8]
-        places.append(int.from_bytes(place, "little"))
-    return min([header.size_bytes, *(place for place in places if place >= least)])
+        offset = header.raw[_WAVEFORMS_AT : _WAVEFORMS_AT + 8]
+        offsets.append(int.from_bytes(offset, "little"))
+    return min([header.size_bytes, *(offset for offset in offsets if offset >= least)])
 
 
 def _holds_data(file: BinaryIO, start: int, stop: int, least: int) -> bool:
-    """Whether ``least`` bytes or more lie between two places, and not only zeros."""
+    """Whether ``least`` bytes or more lie between two offsets, and not only zeros."""
     if stop - start < least:
         return False
     file.seek(start)
-    while start < stop and (block := file.read(min(stop - start, _BLOCK_BYTES))):
-        if block.count(0) < len(block):
+    while start < stop and (part := file.read(min(stop - start, _READ_BYTES))):
+        if part.count(0) < len(part):
             return True
-        start += len(block)
+        start += len(part)
     return False

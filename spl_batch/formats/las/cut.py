@@ -121,5 +121,5 @@ def _converted(
     out = Conversion(layout, frame.layout, kept).records(given)
     if (header.scales, header.offsets) != (frame.scales, frame.offsets):
         raw = np.column_stack([given[axis] for axis in "XYZ"])
-        frame.place(out, raw * header.scales + header.offsets, header.path)
+        frame.set_coordinates(out, raw * header.scales + header.offsets, header.path)
     return out

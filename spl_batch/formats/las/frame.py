@@ -47,8 +47,8 @@ from spl_batch.formats.las.records import EXTRA_BYTES_KEY, RecordLayout
 HEADER_SIZE: Final = HEADER_SIZES[4]
 _COPY_BYTES: Final = 1 << 20
 _UNCOMPRESSED: Final = (9, 10)
-PLACE: Final = struct.Struct("<q")
-"""Where points begin: the place of the chunk table, behind the chunks."""
+OFFSET: Final = struct.Struct("<q")
+"""Where points begin: the offset of the chunk table, behind the chunks."""
 
 _COUNTS: Final = struct.Struct("<QQIQ15Q")
 WAVEFORM_KEY: Final = ("LASF_Spec", 65535)
@@ -79,7 +79,7 @@ class Frame:
     #: Extended records, each with the file that it is copied from.
     evlrs: Sequence[tuple[Evlr, Path]] = ()
 
-    def place(self, records: NDArray[Any], xyz: NDArray[np.float64], path: Path) -> None:
+    def set_coordinates(self, records: NDArray[Any], xyz: NDArray[np.float64], path: Path) -> None:
         """Put coordinates, (n, 3), into records, rounded to the scale.
 
         Raises
@@ -159,7 +159,7 @@ class WatchedFile:
 
 @contextmanager
 def output_file(path: Path) -> Iterator[WatchedFile]:
-    """Open a file that takes its name when the block succeeds."""
+    """Open a file that takes its name when the body succeeds."""
     with replacing(path) as temporary, temporary.open("w+b") as file:
         watched = WatchedFile(file)
         try:
@@ -269,29 +269,29 @@ def write_chunks(
 ) -> list[tuple[int, int]]:
     """Write compressed chunks and their table; points and bytes of each chunk."""
     start = file.tell()
-    file.write(bytes(PLACE.size))
+    file.write(bytes(OFFSET.size))
     table = []
     for points, packed in chunks:
         file.write(packed)
         table.append((points, len(packed)))
-    place = file.tell()
+    offset = file.tell()
     lazrs.write_chunk_table(file, table or [(0, 0)], laz)  # as the compressor does it
     file.seek(start)
-    file.write(PLACE.pack(place))
+    file.write(OFFSET.pack(offset))
     return table
 
 
 def packed_chunk(records: NDArray[Any], laz: Any) -> bytes:
     """Bytes of a chunk of records."""
     content: bytes = lazrs.compress_points(laz, records.view(np.uint8), parallel=False)
-    return content[PLACE.size : PLACE.unpack_from(content)[0]]  # the table lies behind it
+    return content[OFFSET.size : OFFSET.unpack_from(content)[0]]  # the table lies behind it
 
 
 @contextmanager
 def framed(file: WatchedFile, frame: Frame, laz: Any | None, extent: Extent) -> Iterator[list[Vlr]]:
     """Everything before the points; when they are written, what follows, and the header.
 
-    What the block puts into the list follows as extended records.
+    What the body puts into the list follows as extended records.
     """
     layout, vlrs = frame.layout, [*frame.vlrs]
     if described := b"".join(d.descriptor for d in layout.extra):
@@ -325,8 +325,8 @@ def framed(file: WatchedFile, frame: Frame, laz: Any | None, extent: Extent) -> 
         *[0] * 6,  # the old counts stay zero in point formats 6-10
     )
     floats = struct.pack("<12d", *frame.scales, *frame.offsets, *extent.box(frame))
-    places = waveforms, evlrs_start if n_evlrs else 0, n_evlrs
-    counts = _COUNTS.pack(*places, extent.n_points, *extent.returns[1:].tolist())
+    offsets = waveforms, evlrs_start if n_evlrs else 0, n_evlrs
+    counts = _COUNTS.pack(*offsets, extent.n_points, *extent.returns[1:].tolist())
     file.seek(0)
     file.write(frame.preamble + fixed + floats + counts)
 
@@ -337,9 +337,9 @@ def _copy_record(file: WatchedFile, evlr: Evlr, source: Path) -> None:
     left = evlr.size
     with source.open("rb") as old:
         old.seek(evlr.start)
-        while left and (block := old.read(min(left, _COPY_BYTES))):
-            file.write(block)
-            left -= len(block)
+        while left and (part := old.read(min(left, _COPY_BYTES))):
+            file.write(part)
+            left -= len(part)
 
 
 def laz_record(layout: RecordLayout, chunk_points: int | None = None) -> Any:

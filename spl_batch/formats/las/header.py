@@ -1,7 +1,7 @@
 """The fixed part of a LAS file, read and checked before any library trusts it.
 
 Counts and offsets of a broken header make readers loop for minutes or allocate without bound. So
-this module reads header, VLRs and places of EVLRs itself [LAS 1.4 R15, sections 2.4-2.7], and
+this module reads header, VLRs and offsets of EVLRs itself [LAS 1.4 R15, sections 2.4-2.7], and
 reports every fault of a file in one error.
 """
 
@@ -295,7 +295,7 @@ def _read_evlrs(path: Path, file: BinaryIO, raw: bytes, size: int) -> Iterator[E
     if minor < 3:
         return
     if minor == 3:
-        # 1.3 knows one extended record, the waveforms, and gives its place only.
+        # 1.3 knows one extended record, the waveforms, and gives its offset only.
         start, count = int.from_bytes(raw[227:235], "little"), 1
         if start == 0 or not raw[6] & 2:
             return

@@ -53,7 +53,7 @@ _PARSED_BYTES: Final = 1 << 20
 _CRS_TEXT_MAX: Final = 150
 """Characters that are quoted of a CRS that is not understood [count]."""
 
-_SAME_PLACE_M: Final = 10.0
+_SAME_POSITION_M: Final = 10.0
 """Two CRS contradict each other where the same coordinates lie farther apart [m]; how they name a
 datum does not matter."""
 
@@ -104,7 +104,7 @@ def _rivals(header: LasHeader) -> tuple[CRS, CRS] | None:
 
 
 def _agree(a: CRS, b: CRS, header: LasHeader) -> bool:
-    """Whether two CRS put the middle of a file at the same place.
+    """Whether two CRS put the middle of a file at the same position.
 
     Heights that one alone states, or whose datum one alone names, contradict nothing.
     """
@@ -114,9 +114,9 @@ def _agree(a: CRS, b: CRS, header: LasHeader) -> bool:
     flat = horizontal(a), horizontal(b)
     if same_crs(a, b) or not all(crs.is_projected or crs.is_geographic for crs in flat):
         return True
-    place = np.mean([header.mins_m[:2], header.maxs_m[:2]], axis=0)
-    there = Transformer.from_crs(*flat, always_xy=True).transform(*place)
-    return bool(np.hypot(*(there - place)) < _SAME_PLACE_M)
+    middle = np.mean([header.mins_m[:2], header.maxs_m[:2]], axis=0)
+    there = Transformer.from_crs(*flat, always_xy=True).transform(*middle)
+    return bool(np.hypot(*(there - middle)) < _SAME_POSITION_M)
 
 
 def _of_both(header: LasHeader) -> CRS | None:

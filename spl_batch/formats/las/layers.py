@@ -36,7 +36,7 @@ _COPIED_FORMATS: Final = (6, 7, 8)
 _FORMAT: Final = 6
 _CLASSES: Final = 2
 _FLAGS: Final = 3
-"""Places of the layers of classes and of flags among those of a format."""
+"""Positions of the layers of classes and of flags among those of a format."""
 
 
 def given_of(records: NDArray[Any], layout: RecordLayout) -> NDArray[np.uint32]:

@@ -193,10 +193,10 @@ def iter_points(
                 watch(records, layout)
             x, y, z = (coordinate(records, header, axis, first, units) for axis in range(3))
             channel = _channel(records, header, layout, channel_dimension, first)
-            places = {"x": x, "y": y, "z": z, "channel": channel}
-            places["source"] = np.full(len(records), source, dtype=np.uint64)
-            places["index"] = np.arange(first, first + len(records))
-            columns = places | _attributes(records, layout)
+            base = {"x": x, "y": y, "z": z, "channel": channel}
+            base["source"] = np.full(len(records), source, dtype=np.uint64)
+            base["index"] = np.arange(first, first + len(records))
+            columns = base | _attributes(records, layout)
             yield PointTable(
                 {k: np.ascontiguousarray(columns[k], COLUMNS[k].dtype) for k in SOURCE_COLUMNS}
             )

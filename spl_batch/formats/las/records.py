@@ -98,9 +98,9 @@ def record_layout(header: LasHeader) -> RecordLayout:
     data = b"" if vlr is None else vlr.data
     for start in range(0, len(data) - DESCRIPTOR_SIZE + 1, DESCRIPTOR_SIZE):
         raw = data[start : start + DESCRIPTOR_SIZE]
-        # Common readers misunderstand a block without a type, whose options are its size.
-        block = raw[2] == 0
-        extra += _plain(raw[3], len(extra)) if block else [_dimension(header, raw, len(extra))]
+        # Common readers misunderstand extra bytes without a type, whose options are its size.
+        untyped = raw[2] == 0
+        extra += _plain(raw[3], len(extra)) if untyped else [_dimension(header, raw, len(extra))]
     held = sum(d.dtype.itemsize for d in extra)
     left = room - bounded(
         header.path, "extra bytes that are described", held, most=room, remedy=REWRITE

@@ -322,7 +322,7 @@ def write_points(
     ]
     layout = conversion(RecordLayout(_POINT_FORMAT, ()), described).layout
     records = np.zeros(len(table), dtype=layout.dtype)
-    offsets = [_place(records, table, k, u, path) for k, u in enumerate(Units.of(crs).xyz_m)]
+    offsets = [_set_axis(records, table, k, u, path) for k, u in enumerate(Units.of(crs).xyz_m)]
     _fill(records, table)
     if aggregate:
         records["bit_fields"] = _ONLY_RETURN
@@ -347,7 +347,9 @@ def write_points(
     return write_copc(path, frame, records) if copc else write_laz(path, frame, [records])
 
 
-def _place(records: NDArray[Any], table: PointTable, axis: int, unit_m: float, path: Path) -> float:
+def _set_axis(
+    records: NDArray[Any], table: PointTable, axis: int, unit_m: float, path: Path
+) -> float:
     """Put one axis into the records; gives its offset, a whole number of thousand units."""
     values = np.rint(table["xyz"[axis]] / unit_m).astype(np.int64)
     if not len(values):

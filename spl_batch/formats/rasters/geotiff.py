@@ -50,7 +50,7 @@ def write_cog(
     shape: tuple[int, int],
     origin_xy_m: tuple[float, float] = (0.0, 0.0),
     cell_m: float = 1.0,
-    place: Affine | None = None,
+    transform: Affine | None = None,
     crs: str | None,
     description: str,
     unit: str = "",
@@ -67,7 +67,7 @@ def write_cog(
         Rows and columns, both > 0.
     origin_xy_m : (float, float)
         Easting and northing of the upper left corner, in metres on the axes of the CRS [m].
-    place : Affine, optional
+    transform : Affine, optional
         Corner and cells in the units of the CRS, in place of these.
     crs : str, optional
         Anything that GDAL understands as a CRS: EPSG code, WKT. The file is in its units: corner,
@@ -104,7 +104,7 @@ def write_cog(
         "dtype": "float32",
         "nodata": NODATA,
         "crs": known_crs,
-        "transform": place or Affine(cell, 0.0, left, 0.0, -cell, top),
+        "transform": transform or Affine(cell, 0.0, left, 0.0, -cell, top),
     }
     try:
         with (
@@ -169,7 +169,7 @@ def _write_plain(
 ) -> list[tuple[Window, int]]:
     """Write pieces as they come; uncompressed, so that rewriting a tile leaves no waste.
 
-    Gives the place of each piece and a checksum of it.
+    Gives the window of each piece and a checksum of it.
     """
     layout = {"tiled": True, "blockxsize": TILE_PX, "blockysize": TILE_PX, "sparse_ok": True}
     marks = []

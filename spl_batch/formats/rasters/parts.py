@@ -44,7 +44,7 @@ class Grid:
     top_m: float
     cell_m: float
 
-    def place(
+    def cells(
         self, xy_m: NDArray[np.float64]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
         """Row and column of each point, and whether the raster reaches there."""
@@ -79,7 +79,7 @@ class RasterPart:
 
     def at(self, xy_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Value of the cell that each point lies in: (n,) float64; NaN where there is none."""
-        row, col, held = self.grid.place(xy_m)
+        row, col, held = self.grid.cells(xy_m)
         out = np.full(len(xy_m), np.nan)
         out[held] = known(self.values[row[held], col[held]])
         return out
@@ -89,7 +89,7 @@ class RasterPart:
         rows, cols = self.values.shape
         v = (self.top_m - xy_m[:, 1]) / self.cell_m - 0.5
         u = (xy_m[:, 0] - self.left_m) / self.cell_m - 0.5
-        # A point exactly on the last centre has its square on the near side.
+        # A point exactly on the last centre has its four centres on the near side.
         r = np.minimum(np.floor(v), np.where(v == rows - 1, rows - 2, rows)).astype(np.int64)
         c = np.minimum(np.floor(u), np.where(u == cols - 1, cols - 2, cols)).astype(np.int64)
         held = (r >= 0) & (r < rows - 1) & (c >= 0) & (c < cols - 1)
@@ -143,7 +143,7 @@ def overview_frame(path: Path) -> tuple[int, int, float, float, float]:
     """
     with opened(path) as source:
         step, shape = _reduced(source.shape, LARGEST)
-        left_m, top_m, cell_m = place_m(source)
+        left_m, top_m, cell_m = geotransform_m(source)
         return (*shape, left_m, top_m, cell_m * step)
 
 
@@ -158,7 +158,7 @@ def read_part(path: Path, bounds_m: tuple[float, float, float, float]) -> Raster
         If the raster cannot be read: it can be made again.
     """
     with opened(path) as source:
-        left, top, cell = place_m(source)
+        left, top, cell = geotransform_m(source)
         west, south, east, north = bounds_m
         row, col = (max(math.floor(side / cell) - 1, 0) for side in (top - north, west - left))
         rows = min(math.ceil((top - south) / cell) + 1, source.height) - row
@@ -224,7 +224,7 @@ def _reduced(size: tuple[int, int], largest: int) -> tuple[int, tuple[int, int]]
 
 def _part(source: Any, values: NDArray[Any], first: tuple[int, int], step: int) -> RasterPart:
     """Values from a row and a column on, each of ``step`` cells of the raster."""
-    left, top, cell = place_m(source)
+    left, top, cell = geotransform_m(source)
     left_m, top_m = left + first[1] * cell, top - first[0] * cell
     unit_m = metres_in(source.units[0] or "") or 1.0
     if unit_m != 1.0:
@@ -232,7 +232,7 @@ def _part(source: Any, values: NDArray[Any], first: tuple[int, int], step: int) 
     return RasterPart(values.astype(np.float32), left_m, top_m, cell * step)
 
 
-def place_m(source: Any) -> tuple[float, float, float]:
+def geotransform_m(source: Any) -> tuple[float, float, float]:
     """Left and upper edge of a raster and edge of its cells, in metres on its axes [m]."""
     placed = source.transform.c, source.transform.f, source.transform.a
     crs = CRS.from_wkt(source.crs.to_wkt()) if source.crs else None

@@ -36,7 +36,7 @@ from spl_batch.formats.verified.parquet_npz import ranges_of, read_groups, readi
 from spl_batch.lattice.tables import Trajectory
 
 WAITING_RECORDS: Final = 500_000
-"""Records that may wait in memory for their place in time: files in disorder have more [count]."""
+"""Records that may wait in memory for their turn in time: files in disorder have more [count]."""
 
 SBET_CRS: Final = "EPSG:4979"
 """CRS of an SBET unless the workflow names another: WGS 84, ellipsoidal heights."""
@@ -109,7 +109,7 @@ class Gathering:
             self._set_clock(self._points.time_s)
 
     def _set_clock(self, points_s: tuple[float, float]) -> None:
-        """Bring times into the points' standard, by which batches may change places."""
+        """Bring times into the points' standard, by which batches may change order."""
         wanted = time_standard(np.asarray(points_s, dtype=np.float64))
         shared: dict[TimeStandard, list[int]] = {}
         for file in sorted({batch.file for batch in self._batches}):
@@ -138,7 +138,7 @@ class Gathering:
         Raises
         ------
         InputError
-            If there are too few of them, too many wait for their place, or no position is within
+            If there are too few of them, too many wait for their turn, or no position is within
             50 km of the points, which means different CRS.
         """
         order = sorted(self._batches, key=lambda batch: (batch.first_s, batch.offset))
@@ -188,7 +188,7 @@ class Gathering:
         if self._points is None:
             return
         if self._nearest_m > ELSEWHERE_M:
-            unit = self._units.of_places
+            unit = self._units.of_coordinates
             x, y = (self._low + self._high) / 2 / unit[1]
             raise InputError(
                 path,
@@ -246,7 +246,7 @@ def gathering(
     points : PointExtent, optional
         Points in whose time the records are wanted; by default they keep their own.
     folder : Path, optional
-        Where records wait for their place; by default where temporary files lie.
+        Where records wait for their turn; by default where temporary files lie.
 
     Raises
     ------
@@ -338,7 +338,7 @@ def _projection(source: CRS, target: CRS, *, best: bool) -> Callable[[Positions]
         x, y, z = position.T
         xyz = np.column_stack(transformer().transform(x, y, z, errcheck=True))
         if not np.isfinite(xyz).all():
-            raise ProjError("a position has no place there")
+            raise ProjError("a position has no coordinates there")
         return xyz
 
     return project

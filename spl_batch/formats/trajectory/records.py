@@ -138,7 +138,7 @@ class _Sieve:
             return ""
         share = f"{grouped(self._wrong)} of {counted(self._records, 'records')}"
         why = (
-            "(no finite number, a time more than a year from the others, or a place beyond "
+            "(no finite number, a time more than a year from the others, or a position beyond "
             f"{FARTHEST_M:.0e} m){self._first}"
         )
         if self._wrong > MOST_WRONG * self._records:
@@ -177,11 +177,11 @@ def _read_sbet(path: Path) -> Iterator[Records]:
                     f" {longitude[first]}; an SBET has radians: it is not an SBET, or name its"
                     " format by .csv or .parquet",
                 )
-            place = np.column_stack([longitude, latitude, records["altitude"]])
-            place[wrong] = np.nan
-            place[:, :2] = np.degrees(place[:, :2])
+            position = np.column_stack([longitude, latitude, records["altitude"]])
+            position[wrong] = np.nan
+            position[:, :2] = np.degrees(position[:, :2])
             # Copied, because a record has four times what is wanted of it.
-            yield records["time"].astype(np.float64), place
+            yield records["time"].astype(np.float64), position
 
 
 def _read_parquet(path: Path) -> Iterator[Records]:
@@ -236,7 +236,7 @@ def _read_csv(path: Path, sieve: _Sieve) -> Iterator[Records]:
 
 
 def _refuse_cut_record(path: Path, file: BinaryIO) -> None:
-    """Refuse a file that ends within a number: what is left of it would be taken for a place."""
+    """Refuse a file that ends within a number: its rest would be taken for a coordinate."""
     here = file.tell()
     file.seek(max(path.stat().st_size - _END_BYTES, here))
     *lines, last = file.read().decode("utf-8", errors="replace").rstrip(" ").split("\n")

@@ -1,12 +1,12 @@
 """L1 files of users [M20 1.1, 3.3], and tables in the working store: both Parquet.
 
 Columns of L1 files are those of :class:`~spl_batch.geiger.coincidence.tables.Frames` and
-:class:`~spl_batch.geiger.coincidence.tables.Detections`, places in metres. Rows may come in any
-order, further columns are left alone. What a detector looked at follows from its frame; so looks
-without a detection need no row.
+:class:`~spl_batch.geiger.coincidence.tables.Detections`, coordinates in metres. Rows may
+come in any order, further columns are left alone. What a detector looked at follows from its frame;
+so looks without a detection need no row.
 
 Files of detections are read a stretch of rows at a time, whatever their row groups. In the store
-tables are found again by the place and the frames of their row groups.
+tables are found again by the position and the frames of their row groups.
 """
 
 from collections import Counter
@@ -152,15 +152,15 @@ def read_detections(
         detector = columns["detector"]
         outside += int((detector >= array.detectors).sum())
         highest = max(highest, int(detector.max(initial=0)))
-        places = {k: np.rint(columns[k] * QUANTA_PER_M).astype(np.int64) for k in "xyz"}
-        part = Detections.of({**columns, **places, "detector": detector.astype(np.int32)})
+        xyz = {k: np.rint(columns[k] * QUANTA_PER_M).astype(np.int64) for k in "xyz"}
+        part = Detections.of({**columns, **xyz, "detector": detector.astype(np.int32)})
         once = part.distinct()
         if len(once) < len(part) and not twice:
             keys, count = np.unique(
                 columns["frame"] * array.detectors + detector, return_counts=True
             )
-            number, place = divmod(int(keys[count > 1][0]), array.detectors)
-            first = f"detector {place} of frame {number}"
+            number, pixel = divmod(int(keys[count > 1][0]), array.detectors)
+            first = f"detector {pixel} of frame {number}"
         twice += len(part) - len(once)
         if not outside:
             yield once

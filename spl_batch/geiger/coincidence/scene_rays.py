@@ -1,13 +1,13 @@
 """Lines of sight against the artificial scene of [M20 3.1], and what a detector makes of them.
 
-Places are relative to the scene's centre, heights above its flat ground [m]. A look meets leaves,
+Points are relative to the scene's centre, heights above its flat ground [m]. A look meets leaves,
 which pass a part of the light, and then one opaque surface. At each the number of photo-electrons
 is Poisson of mean "detection probability x reflectivity x transmission so far" [M20 3.3]; dark
 counts come exponentially from the opening of the gate. The nearest event ends the look (blocking
 loss).
 
 Deviation: the source paints points into voxels of each frame. Here each look is one ray through a
-random place of its detector's field of view, which the source calls more faithful.
+random point of its detector's field of view, which the source calls more faithful.
 """
 
 import math
@@ -31,11 +31,11 @@ class Targets(NamedTuple):
     plates: NDArray[np.float64]
     spokes: NDArray[np.float64]  #: (s, 5): spoke targets: x, y, radius, height, number of spokes.
     cubes: NDArray[np.float64]  #: (c, 6): boxes: west, south, bottom, east, north, top.
-    coil: NDArray[np.float64]  #: (k, 3): axis of a tube, place after place; none for no coil.
+    coil: NDArray[np.float64]  #: (k, 3): axis of a tube, point after point; none for no coil.
     coil_radius: float
-    #: (4,): x and y of a painted disc, its radius, edge of its squares; radius 0 for none.
+    #: (4,): x and y of a painted disc, its radius, edge of its chequers; radius 0 for none.
     logo: NDArray[np.float64]
-    #: (m, 5): level squares, highest first: x, y, height, reflectivity, transmissivity.
+    #: (m, 5): level square leaves, highest first: x, y, height, reflectivity, transmissivity.
     leaves: NDArray[np.float64]
     leaf_m: float
     #: (5,): west, south, edge of the cells that leaves are listed by; lowest, highest leaf.
@@ -49,7 +49,7 @@ class Targets(NamedTuple):
 
 @njit()
 def on_spoke(x: float, y: float, radius: float, spokes: float) -> bool:
-    """Whether a place, from the target's centre, lies on one of its spokes."""
+    """Whether a point, from the target's centre, lies on one of its spokes."""
     if x * x + y * y > radius * radius:
         return False
     turns = math.atan2(y, x) / (2.0 * math.pi) * spokes
@@ -58,7 +58,7 @@ def on_spoke(x: float, y: float, radius: float, spokes: float) -> bool:
 
 @njit()
 def painted(x: float, y: float, logo: NDArray[np.float64]) -> bool:
-    """Whether a place of the ground is painted: a ring around a disc of squares."""
+    """Whether a point of the ground is painted: a ring around a chequered disc."""
     x, y = x - logo[0], y - logo[1]
     share = math.sqrt(x * x + y * y) / max(logo[2], 1e-9)
     if share > 1.0:
@@ -70,7 +70,7 @@ def painted(x: float, y: float, logo: NDArray[np.float64]) -> bool:
 
 @njit()
 def tube_distance(x: float, y: float, z: float, axis: NDArray[np.float64], radius: float) -> float:
-    """Distance of a place from the surface of a tube, negative inside [m]."""
+    """Distance of a point from the surface of a tube, negative inside [m]."""
     nearest = _FAR
     for k in range(len(axis) - 1):
         ax, ay, az = axis[k, 0], axis[k, 1], axis[k, 2]

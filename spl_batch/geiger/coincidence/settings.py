@@ -15,7 +15,7 @@ ARRAYS: Final[Mapping[str, Mapping[str, float]]] = MappingProxyType(
 )
 """Arrays whose numbers are public. Harris IntelliEarth: array size 32 x 128 and IFOV 35 urad, by M.
 Romano, "Commercial Geiger Mode LiDAR", ASPRS annual conference 2015, table "Harris Geiger-mode
-Specifications" (studylib.net/doc/18334073). Which side flies ahead is not stated there: that is as
+Specifications" (studylib.net/doc/18334073). Which side leads is not stated there: that is as
 in [M20]. Gates follow from the flight."""
 
 

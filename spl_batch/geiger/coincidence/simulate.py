@@ -2,7 +2,7 @@
 
 The source has two sets of 36 tri-bars and names the widths 17.5, 15, 12.5, 10 and 9 cm, the last
 four of them a row of four in the 16 smallest. Ours are the other widths, 100 to 1 cm, and all
-places; the extent of a canopy; the painted figure; and a square leaf of a detector's ground size
+positions; the extent of a canopy; the painted figure; and a square leaf of a detector's ground size
 for each of the source's foliage points.
 
 Each frame has its own random numbers, so it does not depend on the others.
@@ -52,7 +52,7 @@ _BAR_TOP_M: Final = 10.0
 
 Target = Literal["spokes", "bars", "cube", "coil", "logo", "covered_spokes", "foliage"]
 
-PLACES_M: Final[dict[Target, tuple[float, float]]] = {
+POSITIONS_M: Final[dict[Target, tuple[float, float]]] = {
     "spokes": (0.0, 0.0),
     "covered_spokes": (0.0, -25.0),
     "foliage": (-25.0, 0.0),
@@ -100,7 +100,7 @@ class SceneSettings(Section):
 
 
 def bars(centre_m: tuple[float, float]) -> list[tuple[float, bool, NDArray[np.float64]]]:
-    """Tri-bar targets around a place: three bars, two gaps of the same width, five widths long.
+    """Tri-bar targets around a point: three bars, two gaps of the same width, five widths long.
 
     Width [m] of each; whether its bars run north; (3, 5) west, south, east, north, height [m].
     """
@@ -125,20 +125,20 @@ def bars(centre_m: tuple[float, float]) -> list[tuple[float, bool, NDArray[np.fl
 
 def build(scene: SceneSettings) -> Targets:
     """Arrays of a scene; leaves are drawn from its seed."""
-    there = {name: PLACES_M[name] for name in scene.targets}
+    there = {name: POSITIONS_M[name] for name in scene.targets}
     plates = [p for _, _, p in bars(there["bars"])] if "bars" in there else []
     wheels = [
         [*there[name], SPOKE_RADIUS_M, TARGET_HEIGHT_M, SPOKES]
         for name in ("spokes", "covered_spokes")
         if name in there
     ]
-    x, y = PLACES_M["cube"]
+    x, y = POSITIONS_M["cube"]
     cubes = [[x - 1, y - 1, 0, x + 1, y + 1, 2]] if "cube" in there else []
     # Two loops of 1.5 m across, 5 m tall with the tube.
     turn = np.linspace(0.0, 2.0, 97) if "coil" in there else np.empty(0)
-    (x, y), angle = PLACES_M["coil"], 2 * np.pi * turn
+    (x, y), angle = POSITIONS_M["coil"], 2 * np.pi * turn
     coil = np.stack([x + 0.75 * np.cos(angle), y + 0.75 * np.sin(angle), 0.25 + 2.25 * turn], -1)
-    logo = [*PLACES_M["logo"], 16.0 if "logo" in there else 0.0, 2.0]
+    logo = [*POSITIONS_M["logo"], 16.0 if "logo" in there else 0.0, 2.0]
     leaf_m = scene.flight.altitude_m * scene.array.ifov_rad
     leaves = _draw_leaves(scene)
     return Targets(
@@ -163,7 +163,7 @@ def _draw_leaves(scene: SceneSettings) -> NDArray[np.float64]:
         if name in scene.targets:
             rng = np.random.default_rng([scene.seed, k, _LEAVES])
             drawn = rng.random((_LEAVES, 5))
-            drawn[:, :2] = (drawn[:, :2] - 0.5) * _CANOPY_M + PLACES_M[name]
+            drawn[:, :2] = (drawn[:, :2] - 0.5) * _CANOPY_M + POSITIONS_M[name]
             drawn[:, 2] += 4.5
             parts.append(drawn)
     leaves = np.concatenate(parts)
@@ -257,7 +257,7 @@ def flights(scene: SceneSettings) -> Iterator[Frames]:
 def detect(scene: SceneSettings, frames: Frames, targets: Targets) -> Detections:
     """What the detectors record in :func:`flights`: at most one detection of each in a frame.
 
-    In order of frame and detector; places by each detector's own line of sight.
+    In order of frame and detector; positions by each detector's own line of sight.
     """
     array, flight = scene.array, scene.flight
     tangent = math.tan(array.ifov_rad)
@@ -277,7 +277,7 @@ def detect(scene: SceneSettings, frames: Frames, targets: Targets) -> Detections
             *(flight.efficiency, dark_per_m, jitter, flight.range_bin_m, image),
         )
         fired = np.flatnonzero(np.isfinite(image.ravel()))
-        place = origin + image.ravel()[fired, None] * (looks[fired] @ turn.T)
-        xyz = np.rint(place * QUANTA_PER_M).astype(np.int64)
+        position = origin + image.ravel()[fired, None] * (looks[fired] @ turn.T)
+        xyz = np.rint(position * QUANTA_PER_M).astype(np.int64)
         parts.append(Detections(np.full(len(fired), number), fired.astype(np.int32), xyz))
     return Detections.joined(parts)

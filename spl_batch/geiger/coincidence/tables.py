@@ -72,7 +72,7 @@ class Frames(Table):
     """Images of the array, one for each laser pulse, in order of their numbers."""
 
     number: NDArray[np.int64]  #: (f,): strictly increasing.
-    origin_m: NDArray[np.float64]  #: (f, 3): place of the sensor [m].
+    origin_m: NDArray[np.float64]  #: (f, 3): position of the sensor [m].
     #: (f, 3): heading clockwise from north, roll starboard wing down, pitch nose up [rad].
     attitude_rad: NDArray[np.float64]
 
@@ -92,10 +92,10 @@ class Detections(Table):
 
     frame: NDArray[np.int64]  #: (n,): number of the frame.
     detector: NDArray[np.int32]  #: (n,): ``row * columns + column``.
-    xyz: NDArray[np.int64]  #: (n, 3): places on the survey's lattice [quanta].
+    xyz: NDArray[np.int64]  #: (n, 3): points on the survey's lattice [quanta].
 
     def distinct(self) -> "Detections":
-        """In order of frame and detector, each once: of several the first by place."""
+        """In order of frame and detector, each once: of several the first by position."""
         order = np.lexsort((*self.xyz.T[::-1], self.detector, self.frame))
         frame, detector = self.frame[order], self.detector[order]
         first = np.ones(len(order), np.bool_)
@@ -125,7 +125,7 @@ class Detections(Table):
 class Points(Table):
     """What coincidence processing delivers, in the order of x, y, z."""
 
-    xyz: NDArray[np.int64]  #: (n, 3): places on the survey's lattice [quanta].
+    xyz: NDArray[np.int64]  #: (n, 3): points on the survey's lattice [quanta].
     #: (n,): detections for each look that interrogates a voxel there [1/1].
     intensity: NDArray[np.float32]
     kind: NDArray[np.uint8]  #: (n,): 1 surface, 2 ridge, 3 peak.

@@ -133,8 +133,8 @@ MAP_CELLS: Final = 100
 SLICE_Q: Final = 200
 """Width of the slice of a tile that the report may show [quanta]."""
 
-SLICE_PLACES: Final = 20_000
-"""Places of a slice at most [count]."""
+SLICE_POINTS: Final = 20_000
+"""Points of a slice at most [count]."""
 
 
 def coincide_tile(args: Mapping[str, Any], context: CoincidenceContext) -> Produced:
@@ -199,7 +199,7 @@ def _slice(detections: Detections, points: Points, region: Bounds) -> dict[str, 
         inside = (xyz[:, 1] >= south) & (xyz[:, 1] < south + SLICE_Q)
         inside &= (xyz[:, 0] >= region.xmin) & (xyz[:, 0] < region.xmax)
         shown = xyz[inside]
-        shown = shown[:: -(-len(shown) // SLICE_PLACES) or 1]
+        shown = shown[:: -(-len(shown) // SLICE_POINTS) or 1]
         found[name] = np.stack([shown[:, 0] - region.xmin, shown[:, 2]], axis=-1) / QUANTA_PER_M
     return found
 

@@ -59,15 +59,15 @@ def angles_deg(normals: Floats, true: Floats) -> Floats:
 
 
 def surface_error(
-    places_m: Floats, normals: Floats, true_down_m: Floats, true_normals: Floats
+    points_m: Floats, normals: Floats, true_down_m: Floats, true_normals: Floats
 ) -> tuple[SurfaceError, Floats, Floats]:
     """Errors of a surface, NaN where nothing is known, and those of its pixels.
 
-    ``places_m``, ``normals``: (rows, cols, 3), the surface [m]; NaN where unknown. ``true_down_m``:
+    ``points_m``, ``normals``: (rows, cols, 3), the surface [m]; NaN where unknown. ``true_down_m``:
     true down coordinate along each line of sight [m]. ``true_normals``: out of the water. Of each
     pixel down less true down [m], and the angle between the normals [deg].
     """
-    error = places_m[..., 2] - true_down_m
+    error = points_m[..., 2] - true_down_m
     angle = angles_deg(normals, true_normals)
     known = np.isfinite(error) & np.isfinite(angle)
     if not known.any():
@@ -88,7 +88,7 @@ class FloorError(NamedTuple):
     straight_m: float
     level_m: float
     refracted_m: float
-    #: Distance of the mean of all ends: the place of a beam that covers these pixels [m].
+    #: Distance of the mean of all ends: the position of a beam that covers these pixels [m].
     straight_beam_m: float
     level_beam_m: float
     refracted_beam_m: float
@@ -103,24 +103,24 @@ def floor_error(
 ) -> FloorError:
     """Errors of the ends of rays; NaN where no pixel is known, or no way in water.
 
-    ``look``: (rows, cols, 3), lines of sight. ``found``, ``true``: places on the surface [m] and
+    ``look``: (rows, cols, 3), lines of sight. ``found``, ``true``: points on the surface [m] and
     unit normals out of the water.
     """
     known = np.isfinite(found[0]).all(axis=-1) & np.isfinite(found[1]).all(axis=-1)
     if not known.any() or in_water_m <= 0:
         return FloorError(*(float("nan"),) * 6)
     beam = look[known]
-    places, normals, true_places, true_normals = (v[known] for v in (*found, *true))
+    points, normals, true_points, true_normals = (v[known] for v in (*found, *true))
     level = np.broadcast_to(np.array([0.0, 0.0, -1.0]), normals.shape)
-    ends = floor_points(true_places, refracted(beam, true_normals, index_water), in_water_m)
+    ends = floor_points(true_points, refracted(beam, true_normals, index_water), in_water_m)
     ways = (beam, refracted(beam, level, index_water), refracted(beam, normals, index_water))
-    off = [floor_points(places, way, in_water_m) - ends for way in ways]
+    off = [floor_points(points, way, in_water_m) - ends for way in ways]
     single = [float(np.linalg.norm(o, axis=-1).mean()) for o in off]
     whole = [float(np.linalg.norm(o.mean(axis=0))) for o in off]
     return FloorError(*single, *whole)
 
 
 def middle(shape: tuple[int, int], edge: int) -> tuple[slice, slice]:
-    """Block of pixels in the middle of an array, which a green beam covers [G15 3.1.3]."""
+    """Footprint of a green beam: the pixels in the middle of an array [G15 3.1.3]."""
     rows, cols = ((n - min(edge, n)) // 2 for n in shape)
     return slice(rows, rows + min(edge, shape[0])), slice(cols, cols + min(edge, shape[1]))

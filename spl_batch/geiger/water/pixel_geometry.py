@@ -1,4 +1,4 @@
-"""Looks of the pixels, places in the local frame [G15 3.5], and rays into the water [G15 2.5.2].
+"""Looks of the pixels, points in the local frame [G15 3.5], and rays into the water [G15 2.5.2].
 
 Frames: the sensor's has z along the optical axis; the local one is north, east, down. Normals point
 out of the water.
@@ -41,7 +41,7 @@ class View:
         vectors = np.stack([self.x, self.y, np.ones_like(self.x)], axis=-1)
         return np.asarray((vectors / self.norm[..., None]) @ self.rotation.T)
 
-    def places(self, range_m: Floats) -> Floats:
+    def points(self, range_m: Floats) -> Floats:
         """North, east, down of ranges: (..., rows, cols, 3) float64 [m]."""
         return np.asarray(self.origin_m + range_m[..., None] * self.look)
 

@@ -154,7 +154,7 @@ class PathSettings(Section):
         0.0, ge=0, description="Length of the path in water at which rays end; 0 traces none [m]."
     )
     beam_pixels: int = Field(
-        16, ge=1, description="Edge of the block in the middle that the beam covers [pixel]."
+        16, ge=1, description="Edge of the beam's footprint in the array's middle [pixel]."
     )
 
 

@@ -51,7 +51,7 @@ class Target(Section):
     def surface(
         self, north: Floats, east: Floats, time_s: Floats | float
     ) -> tuple[Floats, Floats, Floats]:
-        """Down [m], and its slopes along north and east, at places and times."""
+        """Down [m], and its slopes along north and east, at points and times."""
         down = np.full(np.broadcast_shapes(north.shape, np.shape(time_s)), self.down_m)
         by_north, by_east = np.zeros_like(down), np.zeros_like(down)
         for wave in self.waves:
@@ -221,7 +221,7 @@ def acquisitions(
         true_range, true_normals = target.meet(view, float(times.mean()))
         range_m = target.meet(view, times[:, None, None])[0]
         drawn = draw_frames(array, instrument, camera, range_m / HALF_C_M_NS, decay_ns, rng)
-        down = view.places(true_range)[..., 2]
+        down = view.points(true_range)[..., 2]
         yield Acquisition(drawn, true_range, down, true_normals)
 
 

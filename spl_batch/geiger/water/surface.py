@@ -1,6 +1,6 @@
-"""Surface of an acquisition from its hits: places and normals of its pixels.
+"""Surface of an acquisition from its hits: points and normals of its pixels.
 
-``windowed`` is the source's chain [G15 3.6.2]: places by Eq. 3-9, median and fast non-local means
+``windowed`` is the source's chain [G15 3.6.2]: points by Eq. 3-9, median and fast non-local means
 of the down coordinate (Eq. 2-4, 2-8 to 2-13), a regression plane in a window of 3 x 3 or 5 x 5
 pixels, its normal (Eq. 2-14 to 2-26). The non-local means are scikit-image's: a pixel's own weight
 is 2, where Eq. 2-9 gives it the greatest of the others', and the sum of a patch's squared
@@ -21,7 +21,7 @@ all so far have a value in common (:func:`growing_windows`, [G97]). A pixel's we
 variance of its mean, from the spread of single hits and from what the calibration leaves; one far
 from the median of those around it takes no part.
 
-Either way a pixel without a range takes its place from its neighbours, if one within two pixels has
+Either way a pixel without a range takes its point from its neighbours, if one within two pixels has
 a range.
 
 - **[G97]** A. Goldenshluger, A. Nemirovski: *On spatial adaptive estimation of nonparametric
@@ -193,7 +193,7 @@ class Surface:
     #: (rows, cols): of each pixel, before any smoothing [m]; NaN where it gives none.
     range_m: Floats
     intensity: Floats  #: (rows, cols): share of frames with a hit.
-    places_m: Floats  #: (rows, cols, 3): on the surface [m]; NaN where it is not known.
+    points_m: Floats  #: (rows, cols, 3): on the surface [m]; NaN where it is not known.
     #: (rows, cols, 3): unit vectors out of the water, so with a negative last part; NaN likewise.
     normals: Floats
 
@@ -226,16 +226,16 @@ def make_surface(
     """
     range_m = ranges(hits, dead, calibration, camera, pixels)
     if settings.method == "windowed":
-        places, normals = _windowed(range_m, view, settings.windowed)
+        points, normals = _windowed(range_m, view, settings.windowed)
     else:
         variance = _variance(hits, calibration, camera)
-        places, normals = _adaptive(range_m, variance, view, settings.adaptive)
+        points, normals = _adaptive(range_m, variance, view, settings.adaptive)
     # What no pixel within two has seen, the array's unused rows too, is not made up.
     seen = maximum_filter(np.isfinite(range_m), size=5, mode="constant")
     seen &= used_pixels(camera)
-    places[~seen] = np.nan
+    points[~seen] = np.nan
     normals[~seen] = np.nan
-    return Surface(range_m, hits.intensity, places, normals)
+    return Surface(range_m, hits.intensity, points, normals)
 
 
 def _variance(hits: Hits, calibration: Calibration, camera: CameraSettings) -> Floats:
@@ -269,26 +269,26 @@ def _adaptive(
     axis = value - along_x * view.x - along_y * view.y
     normals = -np.stack([along_x, along_y, axis], axis=-1)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    return view.places(view.norm / value), normals @ view.rotation.T
+    return view.points(view.norm / value), normals @ view.rotation.T
 
 
 def _windowed(range_m: Floats, view: View, settings: WindowedSettings) -> tuple[Floats, Floats]:
-    # A dead pixel has a place as soon as its neighbours lend it a range.
+    # A dead pixel has a point as soon as its neighbours lend it a range.
     filled = np.where(np.isfinite(range_m), range_m, window_median(range_m, settings.median // 2))
-    places = view.places(filled)
-    down = denoised(window_median(places[..., 2], settings.median // 2), settings)
+    points = view.points(filled)
+    down = denoised(window_median(points[..., 2], settings.median // 2), settings)
     half = settings.window // 2
     known = np.isfinite(down)
-    north, east, sound = (np.where(known, v, 0.0) for v in (*np.moveaxis(places, -1, 0)[:2], down))
+    north, east, sound = (np.where(known, v, 0.0) for v in (*np.moveaxis(points, -1, 0)[:2], down))
     plane, _ = planes(sound, known.astype(np.float64), north, east, half)
     plane[~known] = np.nan
     normals = np.stack([plane[..., 1], plane[..., 2], -np.ones_like(down)], axis=-1)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    places[..., 2] = plane[..., 0]
+    points[..., 2] = plane[..., 0]
     known = np.isfinite(plane[..., 0])
-    places[~known] = np.nan
+    points[~known] = np.nan
     normals[~known] = np.nan
-    return places, normals
+    return points, normals
 
 
 def window_median(image: Floats, half: int) -> Floats:

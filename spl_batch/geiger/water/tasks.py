@@ -1,7 +1,7 @@
 """Tasks of the water surface: count frames, calibrate, make surfaces, deliver points and rasters.
 
 Cells of rasters lie on whole multiples of their edge. They count from where easting and northing
-are 0, wherever the local frame begins: cells of acquisitions from several places fit onto each
+are 0, wherever the local frame begins: cells of acquisitions from several sites fit onto each
 other. Rows count from the south, as in :mod:`spl_batch.numerics.triangulation.tin_raster`.
 
 Deviation: the source's raster is the array itself, whose pixels lie unevenly on the water. Here
@@ -47,7 +47,7 @@ def count_frames(args: Mapping[str, Any], context: WaterContext) -> Produced:
         counts = np.zeros(camera.bins + 1, dtype=np.int64)
         for _, piece in iter_frames(path, 0, frames, camera.bins):
             counts += ranges.histogram(piece, used, camera.bins)
-        # A target stands at a distance of its own: its gate is where its peak is.
+        # A target has a distance of its own: its gate is where its peak is.
         given = {"centre_bin": None} if args["role"] == "target" else {}
         gate = ranges.find_gate(counts, workflow.gate.model_copy(update=given))
         if gate is None:
@@ -160,16 +160,18 @@ def _errors(
     """Errors of each surface and of the ends of its rays (a, 6); sums of the pixels' errors."""
     rows, floors, ways = [], [], workflow.path
     sums = np.zeros((len(accuracy.PIXEL_SUMS), *view.x.shape))
-    block = accuracy.middle(view.x.shape, ways.beam_pixels)
+    footprint = accuracy.middle(view.x.shape, ways.beam_pixels)
     for surface, down, normals in zip(surfaces, truth.down_m, truth.normals, strict=True):
-        own = surface.places_m, surface.normals
+        own = surface.points_m, surface.normals
         made, error, angle = accuracy.surface_error(*own, down, normals)
         sums += accuracy.pixel_sums(error, angle)
         rows.append(made)
-        places = view.places((down - view.origin_m[2]) / view.look[..., 2])
-        found, true = ((place[block], normal[block]) for place, normal in (own, (places, normals)))
+        true_points = view.points((down - view.origin_m[2]) / view.look[..., 2])
+        found, true = (
+            (point[footprint], normal[footprint]) for point, normal in (own, (true_points, normals))
+        )
         lengths = ways.in_water_m, ways.index_water
-        floors.append(accuracy.floor_error(view.look[block], found, true, *lengths))
+        floors.append(accuracy.floor_error(view.look[footprint], found, true, *lengths))
     return {"errors": np.array(rows), "floor": np.array(floors), "pixels": sums}
 
 
@@ -184,22 +186,22 @@ class Grid(NamedTuple):
     cell_m: float
 
 
-def known_places(places_m: Floats, origin_m: Vector) -> Floats:
-    """Easting, northing, height, (n, 3), of what is known of places north, east, down [m]."""
-    known = places_m[np.isfinite(places_m).all(axis=-1)]
+def known_points(points_m: Floats, origin_m: Vector) -> Floats:
+    """Easting, northing, height, (n, 3), of what is known of points north, east, down [m]."""
+    known = points_m[np.isfinite(points_m).all(axis=-1)]
     return known[:, [1, 0, 2]] * [1.0, 1.0, -1.0] + origin_m
 
 
-def grid_around(places_m: Floats, cell_m: float) -> Grid:
-    """Smallest grid around places, easting and northing first [m]."""
-    low = np.floor(places_m[:, :2].min(axis=0) / cell_m).astype(int)
-    cols, rows = np.floor(places_m[:, :2].max(axis=0) / cell_m).astype(int) + 1 - low
+def grid_around(points_m: Floats, cell_m: float) -> Grid:
+    """Smallest grid around points, easting and northing first [m]."""
+    low = np.floor(points_m[:, :2].min(axis=0) / cell_m).astype(int)
+    cols, rows = np.floor(points_m[:, :2].max(axis=0) / cell_m).astype(int) + 1 - low
     return Grid(int(low[0]), int(low[1]), int(rows), int(cols), cell_m)
 
 
-def height_raster(places_m: Floats, grid: Grid) -> Floats:
-    """Heights at the centres of cells, (rows, cols) [m], of :func:`known_places`; NaN for none."""
-    vertices = places_m - [grid.east * grid.cell_m, grid.north * grid.cell_m, 0.0]
+def height_raster(points_m: Floats, grid: Grid) -> Floats:
+    """Heights at the centres of cells, (rows, cols) [m], of :func:`known_points`; NaN for none."""
+    vertices = points_m - [grid.east * grid.cell_m, grid.north * grid.cell_m, 0.0]
     # Pixels are about evenly spaced: a centre farther than a few spacings lies outside.
     area = grid.rows * grid.cols * grid.cell_m**2
     reach = max(3.0 * math.sqrt(area / max(len(vertices), 1)), 1.5 * grid.cell_m)
@@ -242,11 +244,11 @@ def deliver_file(args: Mapping[str, Any], context: WaterContext) -> Produced:
         for piece in _pieces(args, context):
             columns = _columns(piece, done, workflow)
             writer.write(columns)
-            places = known_places(piece["places_m"], workflow.survey.origin_m)
-            if len(places):
-                corners += [places.min(axis=0), places.max(axis=0)]
+            known = known_points(piece["points_m"], workflow.survey.origin_m)
+            if len(known):
+                corners += [known.min(axis=0), known.max(axis=0)]
             points += len(columns["row"])
-            done += len(piece["places_m"])
+            done += len(piece["points_m"])
     if corners:
         grid = grid_around(np.array(corners), workflow.outputs.cell_m)
         outputs += _rasters(args, context, grid, done)
@@ -255,14 +257,14 @@ def deliver_file(args: Mapping[str, Any], context: WaterContext) -> Produced:
 
 def _columns(piece: Arrays, first: int, workflow: WaterWorkflow) -> Arrays:
     """Points of the acquisitions of a piece, from the ``first`` on."""
-    per, places = workflow.surface.frames_per_acquisition, piece["places_m"]
-    ends = np.full(places.shape, np.nan)
+    per, points = workflow.surface.frames_per_acquisition, piece["points_m"]
+    ends = np.full(points.shape, np.nan)
     if workflow.path.in_water_m > 0:
         look = view_of(workflow.camera, workflow.mount).look
         normals = piece["normals"].astype(np.float64)
         rays = refracted(look, normals, workflow.path.index_water)
-        ends = floor_points(places, rays, workflow.path.in_water_m)
-    at = np.nonzero(np.isfinite(places[..., 2]))
+        ends = floor_points(points, rays, workflow.path.in_water_m)
+    at = np.nonzero(np.isfinite(points[..., 2]))
     columns: Arrays = {
         "acquisition": first + at[0],
         "row": at[1],
@@ -272,7 +274,7 @@ def _columns(piece: Arrays, first: int, workflow: WaterWorkflow) -> Arrays:
         "intensity": piece["intensity"][at],
     }
     for axis, name in enumerate(_AXES):
-        columns[f"{name}_m"] = places[at][:, axis]
+        columns[f"{name}_m"] = points[at][:, axis]
         columns[f"normal_{name}"] = piece["normals"][at][:, axis]
         columns[f"floor_{name}_m"] = ends[at][:, axis]
     return {name: columns[name].astype(dtype) for name, dtype in POINT_COLUMNS.items()}
@@ -284,9 +286,9 @@ def _rasters(
     """Write the mean of a file's surfaces, and each of them where that is asked for."""
     folder, name = context.output / "surfaces", args["delivered"]
     total, count = np.zeros((2, grid.rows, grid.cols))
-    each = (places for piece in _pieces(args, context) for places in piece["places_m"])
-    for k, places in enumerate(each):
-        height = height_raster(known_places(places, context.workflow.survey.origin_m), grid)
+    each = (points for piece in _pieces(args, context) for points in piece["points_m"])
+    for k, points in enumerate(each):
+        height = height_raster(known_points(points, context.workflow.survey.origin_m), grid)
         known = np.isfinite(height)
         total[known] += height[known]
         count += known

@@ -98,7 +98,7 @@ def leaf_of(slot, depth, n):  # type: ignore[no-untyped-def]
 
 @njit()
 def sort_in(nearest, d2):  # type: ignore[no-untyped-def]
-    """Put a squared distance in its place among the nearest; the last one goes."""
+    """Insert a squared distance among the nearest in order; the last one goes."""
     j = len(nearest) - 1
     while j > 0 and nearest[j - 1] > d2:
         nearest[j] = nearest[j - 1]
@@ -113,16 +113,16 @@ def search_room(count: int) -> tuple[NDArray[Any], ...]:
 
 @njit()
 def nth_distance(points, boxes, depth, node, x, y, z, limit, wide, least, room):  # type: ignore[no-untyped-def]
-    """Squared distance from a place to the n-th nearest point, infinite if there are fewer.
+    """Squared distance from a point to the n-th nearest point, infinite if there are fewer.
 
     Parameters
     ----------
     points, boxes, depth
         The tree; the depth as uint64.
     node : uint64
-        Where the search begins, to go on upwards: the place's leaf, or the root.
+        Where the search begins, to go on upwards: the point's leaf, or the root.
     x, y, z : float
-        The place [quanta].
+        The point [quanta].
     limit : float
         Farthest squared distance, inclusive.
     wide, least : (n,) float64, float

@@ -1,7 +1,7 @@
 """Points put into the order of a kd-tree, eight at a time.
 
 Each node is divided at its middle slot along its widest axis, depth first. A point is two words,
-x above y and z above its row, counted from the smallest: words compare as what stands above, and
+x above y and z above its row, counted from the smallest: words compare as their upper halves, and
 what goes to either side of a value is packed side by side (:mod:`~spl_batch.numerics.simd`).
 """
 
@@ -96,11 +96,11 @@ def _pivot(xy, zr, low, size, rank, axis, sample):  # type: ignore[no-untyped-de
             at -= 1
         sample[at] = value
     share = rank / size
-    aside = 2.0 * math.sqrt(share * (1.0 - share) / taken)
+    margin = 2.0 * math.sqrt(share * (1.0 - share) / taken)
     if share < 0.3:
-        share += aside
+        share += margin
     elif share > 0.7:
-        share -= aside
+        share -= margin
     return sample[min(max(np.int64(share * taken), 0), taken - 1)]
 
 

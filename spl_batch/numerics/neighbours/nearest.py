@@ -11,7 +11,7 @@
    (:mod:`~spl_batch.numerics.neighbours.nearest_selection`).
 
 :func:`~spl_batch.numerics.neighbours.kdtree.nth_distance` sorts each distance in as it is met, for
-one place. Here nothing is sorted: distances and counts are loops without a branch, which the
+one point. Here nothing is sorted: distances and counts are loops without a branch, which the
 compiler turns into vector instructions.
 
 Squared distances are sums of squared integer differences in float64: exact below

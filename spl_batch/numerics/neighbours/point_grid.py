@@ -1,8 +1,8 @@
-"""Nearest of some places in the plane, by rings of the cells of a grid.
+"""Nearest of some points in the plane, by rings of the cells of a grid.
 
-Places of nodes, of raster cells and of returns lie fairly evenly: a grid whose cells hold two of
+Points of nodes, of raster cells and of returns lie fairly evenly: a grid whose cells hold two of
 them finds what is near sooner than a tree, is made faster, and equally near ones come by number.
-Where places lie unevenly answers are the same.
+Where points lie unevenly answers are the same.
 """
 
 import math
@@ -16,7 +16,7 @@ from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.kdtree import U0, U1
 
 PER_CELL: Final = 2.0
-"""Places in a cell, on the average [count]; speed only."""
+"""Points in a cell, on the average [count]; speed only."""
 
 FULLEST: Final = 64
 """Cells become smaller where one holds more, while they are few [count]; speed only."""
@@ -29,27 +29,27 @@ Index = NDArray[np.int64]
 
 
 class PointGrid(NamedTuple):
-    """Places by cell, row by row."""
+    """Points by cell, row by row."""
 
-    #: (n,): coordinates and number of each place.
+    #: (n,): coordinates and number of each point.
     x: Float
     y: Float
     number: Index
     start: Index  #: (rows * columns + 1,): where each cell begins in them.
     shape: tuple[int, int]  #: Rows and columns.
     corner: tuple[int, int]  #: Row and column of the first cell, from the origin.
-    edge: float  #: Edge of a cell [unit of the places].
+    edge: float  #: Edge of a cell [unit of the points].
 
     @classmethod
-    def of(cls, places: Float) -> "PointGrid":
-        """Grid of some places.
+    def of(cls, points: Float) -> "PointGrid":
+        """Grid of some points.
 
         Parameters
         ----------
-        places : (n, 2) float64
-            Places, finite, n > 0; further columns do not count.
+        points : (n, 2) float64
+            Points, finite, n > 0; further columns do not count.
         """
-        x, y = places[:, 0].copy(), places[:, 1].copy()
+        x, y = points[:, 0].copy(), points[:, 1].copy()
         wide, high, share = float(np.ptp(x)), float(np.ptp(y)), PER_CELL / len(x)
         edge = max(math.sqrt(share * wide * high), share * max(wide, high)) or 1.0
         cells = group_by_cell(x, y, edge)
@@ -65,7 +65,7 @@ class PointGrid(NamedTuple):
     def nearest(
         self, asked: NDArray[np.floating[Any]], count: int = 1, reach: float = math.inf
     ) -> Index:
-        """Numbers of the nearest places, nearest first: (m, count) int64; -1 where there is none.
+        """Numbers of the nearest points, nearest first: (m, count) int64; -1 where there is none.
 
         Parameters
         ----------
@@ -75,7 +75,7 @@ class PointGrid(NamedTuple):
         count : int
             Neighbours of each, at least 1 [count].
         reach : float
-            They are nearer than this [unit of the places].
+            They are nearer than this [unit of the points].
         """
         found = np.full((len(asked), count), -1, np.int64)
         _nearest(self, np.ascontiguousarray(asked[:, :2], np.float64), float(reach), found)
@@ -113,7 +113,7 @@ def _nearest(grid: PointGrid, asked: Float, reach: float, out: Index) -> None:
 
 @njit(inline="always")
 def _sort_in(xs, ys, number, first, end, x, y, away2, nearest):  # type: ignore[no-untyped-def]
-    """Sort the places of some cells in among the nearest."""
+    """Sort the points of some cells in among the nearest."""
     last = np.uint64(len(away2) - 1)
     for p in range(np.uint64(first), np.uint64(end)):
         dx, dy = xs[p] - x, ys[p] - y

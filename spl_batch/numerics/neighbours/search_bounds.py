@@ -61,7 +61,7 @@ def first_limits(points, depth, leaf, slot, k, cap, beside, distance):  # type: 
         The tree's points, the depth of its leaves, the slot's leaf, the slot, neighbours wanted
         and the farthest that counts [quanta].
     beside : (4, BESIDE) float64
-        Places of slots that were searched, and the distances of their last neighbours.
+        Positions of slots that were searched, and the distances of their last neighbours.
     distance : (8 k + 16 + 2 LEAF,) float64
         Scratch.
     """
@@ -70,7 +70,7 @@ def first_limits(points, depth, leaf, slot, k, cap, beside, distance):  # type: 
         np.float64(points[U1, slot]),
         np.float64(points[U2, slot]),
     )
-    # Within them a place likely, and surely, has as many as those beside it.
+    # Within them a point likely, and surely, has as many as those beside it.
     likely = sure = spread(np.inf)
     for i in range(U0, np.uint64(BESIDE), UL):
         dx = load(beside, (U0, i)) - spread(x)

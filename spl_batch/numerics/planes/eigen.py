@@ -1,9 +1,9 @@
 """Eigenvalues and eigenvectors of symmetric 3 x 3 matrices in closed form.
 
 Eigenvalues by the trigonometric solution of the cubic, eigenvectors by cross products
-starting from the eigenvalue that stands farthest apart (Eberly, "A robust eigensolver
+starting from the eigenvalue that is farthest apart (Eberly, "A robust eigensolver
 for 3 x 3 symmetric matrices", Geometric Tools, 2014). Degenerate matrices - planes,
-lines, a single place - give an orthonormal basis all the same.
+lines, a single point - give an orthonormal basis all the same.
 """
 
 import math

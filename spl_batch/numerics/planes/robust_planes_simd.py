@@ -12,7 +12,7 @@ finished the next one takes its lane.
 
 Medians come from networks of comparisons, the same ones whatever the values are [Batcher 1968;
 Knuth, vol. 3, 5.2.2 M], written out without a loop. Half of what a set lacks to the length of its
-network counts as less than all values, half as more: the median then stands in the middle.
+network counts as less than all values, half as more: the median then is in the middle.
 """
 
 import numpy as np
@@ -192,16 +192,16 @@ def _finish(first, own, rounds, fresh, size, weights, now, news, failed, plane, 
 @njit()
 def _by_length(sets: int, longest: int, first: NDArray[np.int64]) -> NDArray[np.int64]:
     """Sets from the longest to the shortest one: those of about one length come together."""
-    place = np.zeros(longest + 2, np.int64)
+    slot = np.zeros(longest + 2, np.int64)
     for one in range(sets):
-        place[longest - (first[one + 1] - first[one]) + 1] += 1
+        slot[longest - (first[one + 1] - first[one]) + 1] += 1
     for k in range(longest + 1):
-        place[k + 1] += place[k]
+        slot[k + 1] += slot[k]
     order = np.empty(sets, np.int64)
     for one in range(sets):
         k = longest - (first[one + 1] - first[one])
-        order[place[k]] = one
-        place[k] += 1
+        order[slot[k]] = one
+        slot[k] += 1
     return order
 
 

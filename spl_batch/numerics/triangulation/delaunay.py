@@ -9,9 +9,9 @@ the order of :func:`along_curve`.
 
 Qhull, by way of scipy, gives the same triangles, but starts anew for each batch.
 
-On which side of an edge a place lies is asked of places on a lattice of :data:`_LATTICE`
+On which side of an edge a point lies is asked of points on a lattice of :data:`_LATTICE`
 steps across the extent, where the answer is exact: no triangle is turned over. Whether it lies
-in a circle is asked of the places themselves. Where rounding could decide - four corners of a
+in a circle is asked of the points themselves. Where rounding could decide - four corners of a
 square - the edge that is there stays: which of two equally good triangulations is found depends
 on the order of insertion.
 """
@@ -37,7 +37,7 @@ _SURE = 1.2e-15
 class Mesh(NamedTuple):
     """Triangles, those at infinity among them, with room for all vertices."""
 
-    xy: NDArray[np.float64]  #: (v, 2): places, from the lower left corner of all.
+    xy: NDArray[np.float64]  #: (v, 2): coordinates, from the lower left corner of all.
     #: (v,): the same on the lattice.
     x: NDArray[np.int64]
     y: NDArray[np.int64]
@@ -45,23 +45,23 @@ class Mesh(NamedTuple):
     #: infinity.
     corner: NDArray[np.int32]
     across: NDArray[np.int32]  #: (2 v, 3): triangle across from each corner.
-    #: (2,): number of triangles, 0 as long as no three places span an area; the last one made.
+    #: (2,): number of triangles, 0 as long as no three vertices span an area; the last one made.
     state: NDArray[np.int64]
 
 
 def empty_mesh(xy: NDArray[np.float64]) -> Mesh:
-    """Mesh without triangles for vertices at some places.
+    """Mesh without triangles for vertices at some positions.
 
-    ``xy``: (v, 2) float64, places of all vertices that will ever come [any one unit].
+    ``xy``: (v, 2) float64, positions of all vertices that will ever come [any one unit].
     """
     xy = xy - xy.min(axis=0)
     extent = max(float(xy.max()), 1e-100)
-    place = np.rint(xy * (_LATTICE / 2.0 ** np.ceil(np.log2(extent)))).astype(np.int64)
+    steps = np.rint(xy * (_LATTICE / 2.0 ** np.ceil(np.log2(extent)))).astype(np.int64)
     room = 2 * len(xy) + 4
     return Mesh(
         xy,
-        np.ascontiguousarray(place[:, 0]),
-        np.ascontiguousarray(place[:, 1]),
+        np.ascontiguousarray(steps[:, 0]),
+        np.ascontiguousarray(steps[:, 1]),
         np.empty((room, 3), np.int32),
         np.empty((room, 3), np.int32),
         np.zeros(2, np.int64),
@@ -78,7 +78,7 @@ def along_curve(mesh: Mesh, chosen: NDArray[np.intp]) -> NDArray[np.intp]:
 
 
 def _spread_bits(values: NDArray[np.int64]) -> NDArray[np.uint64]:
-    """Bits of numbers below 2**32 at the even places: (n,) uint64."""
+    """Bits of numbers below 2**32 at the even positions: (n,) uint64."""
     v = values.astype(np.uint64)
     for shift in (16, 8, 4, 2, 1):
         v |= v << np.uint64(shift)
@@ -92,7 +92,7 @@ def insert(mesh: Mesh, chosen: NDArray[np.intp]) -> None:
     Parameters
     ----------
     chosen : (n,) intp
-        Vertices that are not in it yet. One at the place of another is left out, and so are
+        Vertices that are not in it yet. One at the position of another is left out, and so are
         all as long as they lie on one line: give these again with the next ones.
     """
     if mesh.state[0] == 0 and not _first_triangle(mesh, chosen):
@@ -118,12 +118,12 @@ def finite(mesh: Mesh) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
 
 
 def triangles(xy: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Delaunay triangles of some places; none where they span no area.
+    """Delaunay triangles of some points; none where they span no area.
 
     Parameters
     ----------
     xy : (v, 2) float64
-        Places, all different [any one unit].
+        Points, all different [any one unit].
 
     Returns
     -------
@@ -169,9 +169,9 @@ def _locate(
     x: NDArray[np.int64], y: NDArray[np.int64], corner: NDArray[np.int32],
     across: NDArray[np.int32], used: int, start: int, p: int,
 ) -> tuple[int, int]:  # fmt: skip
-    """Triangle that holds a place, and the corner across from the edge that does.
+    """Triangle that holds a point, and the corner across from the edge that does.
 
-    The triangle is one at infinity for a place outside the hull. The corner is -1 for a place
+    The triangle is one at infinity for a point outside the hull. The corner is -1 for a point
     within the triangle, -2 for one at a corner.
     """
     t = start
@@ -222,7 +222,7 @@ def _search(
 
 @njit(inline="always")
 def _slot(table: NDArray[np.int32], t: int, of: int) -> int:
-    """Corner of a triangle where a vertex stands, or across from which another triangle lies."""
+    """Corner of a triangle where a vertex is, or across from which another triangle lies."""
     if table[t, 0] == of:
         return 0
     return 1 if table[t, 1] == of else 2
@@ -242,7 +242,7 @@ def _insert(
         t, edge = _locate(x, y, corner, across, used, last, p)
         if edge == -2:
             continue
-        # The rim is what stands around p, counter-clockwise; made[k] lies behind its k-th edge.
+        # The rim is what lies around p, counter-clockwise; made[k] lies behind its k-th edge.
         count = 0
         if edge == -1:
             for k in range(3):
@@ -261,7 +261,7 @@ def _insert(
         # Triangles from p, their last corner, to each edge of the rim.
         for k in range(count):
             beyond, new = int(outer[k]), made[k]
-            # Across from the edge that ends at a corner of the rim stands the next one.
+            # Across from the edge that ends at a corner of the rim lies the next one.
             across[beyond, (_slot(corner, beyond, int(rim[k])) + 1) % 3] = new
             corner[new, 0], corner[new, 1], corner[new, 2] = rim[k], rim[(k + 1) % count], p
             across[new, 0], across[new, 1] = made[(k + 1) % count], made[(k + count - 1) % count]

@@ -14,7 +14,7 @@ from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.triangulation.delaunay import triangles
 
 OUTSIDE = -1
-"""Facet number of a place outside the triangulation."""
+"""Facet number of a point outside the triangulation."""
 
 _EDGE_SLACK = 1e-12
 """Barycentric weight below zero that still counts as on the edge."""
@@ -40,7 +40,7 @@ def triangulate(xyz: NDArray[np.float64]) -> Tin | None:
     Parameters
     ----------
     xyz : (v, 3) float64
-        Vertices [m]; no two at the same place.
+        Vertices [m]; no two at the same position.
 
     Returns
     -------
@@ -54,7 +54,7 @@ def triangulate(xyz: NDArray[np.float64]) -> Tin | None:
 def tin_of(
     xyz: NDArray[np.float64], facets: NDArray[np.int32], neighbours: NDArray[np.int32]
 ) -> Tin:
-    """Surface of some triangles; ``xyz`` may hold places that none of them needs."""
+    """Surface of some triangles; ``xyz`` may hold points that none of them needs."""
     planes = np.empty((len(facets), 3))
     facet_planes(xyz, facets, planes)
     return Tin(xyz, facets, neighbours, planes)
@@ -114,7 +114,7 @@ def locate_one(
     py: float,
     start: int,
 ) -> tuple[int, int]:
-    """Triangle that holds a place, by walking there.
+    """Triangle that holds a point, by walking there.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def locate_one(
     found : int
         Triangle, or :data:`OUTSIDE`.
     last : int
-        Triangle where the walk ended: a good start for the next place.
+        Triangle where the walk ended: a good start for the next point.
     """
     t = start
     for step in range(len(facets) + 16):
@@ -159,9 +159,9 @@ def first_of(
     py: float,
     found: int,
 ) -> int:
-    """Triangle of the lowest number among those that hold a place.
+    """Triangle of the lowest number among those that hold a point.
 
-    A walk ends in any of them where the place lies on an edge or a corner, which depends on where
+    A walk ends in any of them where the point lies on an edge or a corner, which depends on where
     it began.
 
     Parameters
@@ -188,10 +188,10 @@ def _first_around(
     py: float,
     found: int,
 ) -> int:
-    """The same for a place that lies near an edge."""
+    """The same for a point that lies near an edge."""
     first = found
     for k in range(3):
-        # From triangle to triangle around the corner that the place is at, or over one edge.
+        # From triangle to triangle around the corner that the point is at, or over one edge.
         came, here, towards = OUTSIDE, found, k
         for _ in range(len(facets)):
             weights = _weights(xyz, facets, here, px, py)
@@ -219,7 +219,7 @@ def locate(
     y: NDArray[np.float64],
     out: NDArray[np.int32],
 ) -> None:
-    """Triangle that holds each place; places near each other should follow each other.
+    """Triangle that holds each point; points near each other should follow each other.
 
     Parameters
     ----------
@@ -252,12 +252,12 @@ def interpolate(tin: Tin, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDA
 def facet_heights(
     tin: Tin, facet: NDArray[np.int32], x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Heights of the planes of triangles at places: (n,) float64 [m]; of any where there is none.
+    """Heights of the planes of triangles at points: (n,) float64 [m]; of any where there is none.
 
     Parameters
     ----------
     facet : (n,) int32
-        Triangle of each place.
+        Triangle of each point.
     x, y : (n,) float64
         Places [m].
     """

@@ -116,12 +116,12 @@ def tin_raster(
         beside = np.hstack([low, high]) <= min(longest, margin)
         facets = facets[_enclosed(facets, neighbours, edges > longest, beside)]
     paint_triangles(vertices, facets, size, out)
-    place = np.floor(vertices[:, :2] / size).astype(np.int64)
-    occupied = _held_near(place, shape, 0)
+    cells = np.floor(vertices[:, :2] / size).astype(np.int64)
+    occupied = _held_near(cells, shape, 0)
     # Only where it may lie too far, or near enough to lend its height, a vertex is searched for.
     surely_near = int(min(max(reach / (math.sqrt(2.0) * size) - 0.5, 0.0), max(shape)))
-    rim = np.isnan(out) & _held_near(place, shape, math.floor(RIM + 0.5))
-    asked = np.argwhere(rim | ~(np.isnan(out) | occupied | _held_near(place, shape, surely_near)))
+    rim = np.isnan(out) & _held_near(cells, shape, math.floor(RIM + 0.5))
+    asked = np.argwhere(rim | ~(np.isnan(out) | occupied | _held_near(cells, shape, surely_near)))
     if not len(asked):
         return out
     centres = (asked[:, ::-1] + 0.5) * size
@@ -173,12 +173,12 @@ def _enclosed(
     return kept
 
 
-def _held_near(place: NDArray[np.int64], shape: tuple[int, int], reach: int) -> NDArray[np.bool_]:
+def _held_near(cells: NDArray[np.int64], shape: tuple[int, int], reach: int) -> NDArray[np.bool_]:
     """Cells with a vertex in themselves or up to ``reach`` cells away along both axes.
 
-    ``place``, (m, 2), column and row of each vertex's cell, may lie outside the raster.
+    ``cells``, (m, 2), column and row of each vertex's cell, may lie outside the raster.
     """
-    col, row = (place + reach).T
+    col, row = (cells + reach).T
     rows, cols = (side + 2 * reach for side in shape)
     held = np.zeros((rows, cols), np.uint8)
     within = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)

@@ -246,7 +246,7 @@ def test_sums_of_differences_are_those_of_each_cell_and_free_of_slope():
     grid = Grid(10, 10, 0.0, 20.0, 2.0)
     cell, total, count = difference_sums(ground_differences(dtm, ref), ref, grid)
     np.testing.assert_allclose(total / count / STEPS_PER_M, 0.25, atol=1e-4)
-    row, col, _ = grid.place(ref.xyz_m[:500, :2])
+    row, col, _ = grid.cells(ref.xyz_m[:500, :2])
     assert cell.tolist() == sorted({10 * r + c for r, c in zip(row, col, strict=True)})
     assert count.sum() == 500
     half = Reference(ref.xyz_m, ref.classification, np.arange(501) < 250)

@@ -125,8 +125,8 @@ def test_polygons_are_known_by_their_content(survey: Path) -> None:
     path = survey.parent / "aoi.geojson"
     corners = [(west, south - 99), (west + 199, south - 99), (west + 199, south + 99)]
     crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::32615"}}
-    place = shapely.geometry.mapping(shapely.Polygon(corners))
-    feature = {"type": "Feature", "properties": {}, "geometry": place}
+    geometry = shapely.geometry.mapping(shapely.Polygon(corners))
+    feature = {"type": "Feature", "properties": {}, "geometry": geometry}
     text = json.dumps({"type": "FeatureCollection", "crs": crs, "features": [feature]})
     path.write_text(text)
     counting(survey, "aoi=aoi.geojson", until="shuffle")

@@ -74,14 +74,14 @@ def test_no_bit_changes_unnoticed(tmp_path: Path, write: Callable[[Path], Any], 
     expected = read()
     file, noticed = tmp_path / "file", 0
     content = file.read_bytes()
-    for place in range(0, len(content), step):
+    for offset in range(0, len(content), step):
         damaged = bytearray(content)
-        damaged[place] ^= 1 << place % 8
+        damaged[offset] ^= 1 << offset % 8
         file.write_bytes(damaged)
         found = None
         with contextlib.suppress(DamagedError):
             found = read()
-        assert found in (None, expected), f"byte {place}"
+        assert found in (None, expected), f"byte {offset}"
         noticed += found is None
     file.write_bytes(content)
     assert read() == expected

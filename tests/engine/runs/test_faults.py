@@ -73,11 +73,11 @@ def test_ctrl_c_ends_a_run_in_order(small: Path) -> None:
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does
 
     thread = clusters.when(lambda: list((output / "store/receipts").rglob("*.json")), send)
-    said, _ = process.communicate(timeout=120)
+    printed, _ = process.communicate(timeout=120)
     thread.join()
-    assert process.returncode == 3, said
-    assert b"interrupted; the same command" in said
-    assert b"Traceback" not in said
+    assert process.returncode == 3, printed
+    assert b"interrupted; the same command" in printed
+    assert b"Traceback" not in printed
     _, left = psutil.wait_procs(children, timeout=10)
     assert not left
     assert surveys.run(small, until="index").exit_status == 0

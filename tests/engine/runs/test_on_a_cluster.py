@@ -16,7 +16,7 @@ from tests.clusters import Cluster, fault
 
 TILE_M = 4
 BLOCKS = ("--set", f"tiling.tile_m={TILE_M}", "--set", "tiling.block_tiles=1")
-"""The small survey in cells of one tile and the strips beside it, eight of them."""
+"""The small survey in cells of one tile and its margins, eight of them."""
 
 
 def run_on(there: Cluster, workflow: Path, *options: object) -> surveys.Ended:
@@ -57,7 +57,7 @@ def cluster(dask_processes: Cluster) -> Cluster:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("patch", "arguments", "said"),
+    ("patch", "arguments", "message"),
     [
         (
             ("spl_batch.engine.verbs.planning.code_version", lambda _: "0.0+other"),
@@ -74,7 +74,7 @@ def test_workers_that_cannot_do_the_work_are_refused(
     monkeypatch: pytest.MonkeyPatch,
     patch: Any,
     arguments: tuple[str, ...],
-    said: str,
+    message: str,
 ) -> None:
     if patch is not None:
         monkeypatch.setattr(patch[0], patch[1])
@@ -83,12 +83,12 @@ def test_workers_that_cannot_do_the_work_are_refused(
     assert ended.status == 2
     (line,) = (x for x in ended.err.splitlines() if x.startswith("spl-batch:"))
     assert line.startswith("spl-batch: --scheduler: worker tcp://127.0.0.1:")
-    assert said in line
+    assert message in line
     assert not (small.parent / "out/store/receipts").exists()
 
 
 @pytest.mark.slow
-def test_a_task_that_always_fails_costs_its_place_alone(
+def test_a_task_that_always_fails_costs_its_cell_alone(
     small: Path, small_output: Path, cluster: Cluster
 ) -> None:
     name = "68001_822501"

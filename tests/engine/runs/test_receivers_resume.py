@@ -58,7 +58,7 @@ def coincidence(folder: Path) -> Path:
 
 @dataclass(frozen=True)
 class Survey:
-    """A survey whose run nothing disturbed; the module's text tells of the parts."""
+    """A survey whose run nothing disturbed; the module's text names the parts."""
 
     workflow: Path
     lost: tuple[str, ...]
@@ -92,7 +92,7 @@ def finished(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 
 
 def delivered(output: Path) -> dict[str, bytes]:
-    """Content of everything that a user gets, but for what tells of times and places."""
+    """Content of everything that a user gets, but for what depends on times and folders."""
     report = {"report.html", "report.json", "log.jsonl", "delivered.json"}
     files = (p for p in output.rglob("*") if p.is_file() and p.name not in report)
     named = {p.relative_to(output).as_posix(): p for p in files}

@@ -62,7 +62,7 @@ def test_a_plan_warns_of_what_has_no_effect(survey: Path) -> None:
     assert not surveys.found(api.plan(survey, overrides=wanted[1:]).findings, "I06")
 
 
-def test_a_plan_looks_at_the_place_of_the_output(
+def test_a_plan_looks_at_the_folder_of_the_output(
     survey: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     usage = shutil.disk_usage(survey.parent)._replace(free=2**16)

@@ -27,7 +27,7 @@ for limit in (None, 100 << 30, 100 << 20):
 def test_memory_in_pieces_is_given_back_where_the_limit_is_near() -> None:
     prefix = "distributed.nanny.pre-spawn-environ."
     of_worker = {k.removeprefix(prefix): str(v) for k, v in SETTINGS.items() if prefix in k}
-    ended = subprocess.run(  # noqa: S603 - what stands here
+    ended = subprocess.run(  # noqa: S603 - the text above
         [sys.executable, "-c", IN_PIECES],
         env=os.environ | of_worker, capture_output=True, text=True, check=True,
     )  # fmt: skip

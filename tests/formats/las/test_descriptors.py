@@ -1,4 +1,4 @@
-"""What readers do not take of a header is put in order, told, and loses no byte of a point."""
+"""What readers do not take of a header is put in order, reported, and loses no byte of a point."""
 
 import struct
 from collections.abc import Mapping
@@ -44,16 +44,16 @@ def described(folder: Path, *descriptors: bytes, point_format: int = 6) -> Path:
         folder / "a.las", n=POINTS, point_format=point_format, extra=extra, values=values
     )
     content = path.read_bytes()
-    place = content.index(b"LASF_Spec") - 2
+    offset = content.index(b"LASF_Spec") - 2
     data = b"".join(descriptors)
-    before = 54 + struct.unpack_from("<H", content, place + 20)[0]
-    head = bytearray(content[:place] + content[place : place + 54] + data)
-    struct.pack_into("<H", head, place + 20, len(data))
+    before = 54 + struct.unpack_from("<H", content, offset + 20)[0]
+    head = bytearray(content[:offset] + content[offset : offset + 54] + data)
+    struct.pack_into("<H", head, offset + 20, len(data))
     (start,) = struct.unpack_from("<I", head, 96)
     struct.pack_into("<I", head, 96, start + 54 + len(data) - before)
     evlrs = struct.unpack_from("<Q", head, 235)[0]
     assert not evlrs
-    path.write_bytes(bytes(head) + content[place + before :])
+    path.write_bytes(bytes(head) + content[offset + before :])
     return path
 
 
@@ -117,8 +117,8 @@ def test_a_block_without_a_type_is_bytes(tmp_path: Path) -> None:
 def test_what_is_in_order_stays(tmp_path: Path) -> None:
     sound = [descriptor(7, 31, "é".encode() * 16, b"text", 0.5, -3.0), descriptor(10, name=b"X Y")]
     path = described(tmp_path, *sound)
-    found, told = copied(path)
-    assert told == []
+    found, remarks = copied(path)
+    assert remarks == []
     assert read_header(path.with_name("copy.laz")).raw[26:58] == read_header(path).raw[26:58]
     assert b"".join(sound) in path.with_name("copy.laz").read_bytes()
     assert np.isfinite(found["é" * 16]).all()
@@ -126,19 +126,19 @@ def test_what_is_in_order_stays(tmp_path: Path) -> None:
 
 def test_a_name_that_the_copy_needs_is_its_own(tmp_path: Path) -> None:
     path = described(tmp_path, descriptor(name=b"noise_class"), descriptor(name=b"noise_class\xff"))
-    found, told = copied(path)
+    found, remarks = copied(path)
     names = ["noise_class_2", "noise_class_3", "input_classification", "noise_class"]
     assert [*found.point_format.extra_dimension_names] == names
-    assert len(told) == 2
+    assert len(remarks) == 2
     assert not found["noise_class"].any()
     assert np.array_equal(extra_bytes(path), extra_bytes(path.with_name("copy.laz"), but=2))
 
 
-@pytest.mark.parametrize(("place", "content"), [(26, b"\xffme"), (90, b"\xff\xff\x0f\x27")])
-def test_system_and_day_that_readers_fail_at(tmp_path: Path, place: int, content: bytes) -> None:
+@pytest.mark.parametrize(("offset", "content"), [(26, b"\xffme"), (90, b"\xff\xff\x0f\x27")])
+def test_system_and_day_that_readers_fail_at(tmp_path: Path, offset: int, content: bytes) -> None:
     path = described(tmp_path, descriptor())
     made = bytearray(path.read_bytes())
-    made[place : place + len(content)] = content
+    made[offset : offset + len(content)] = content
     path.write_bytes(made)
     found, mended = copied(path)
     assert mended == []

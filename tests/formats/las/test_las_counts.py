@@ -75,19 +75,19 @@ def test_compressed_points_beyond_the_count(tmp_path: Path, point_format: int) -
         (50_000, f"2 LAZ chunks hold {grouped(50_001)} to {grouped(100_000)}"),
         (50_095, "its last LAZ chunk holds more" if point_format < 6 else "hold 50 100"),
     ):
-        said = refusal(counted(path, n))
-        assert f"its header counts {grouped(n)} points" in said
-        assert there in said
+        message = refusal(counted(path, n))
+        assert f"its header counts {grouped(n)} points" in message
+        assert there in message
     assert looked_at_and_read(counted(path, 50_100)) == 50_100
 
 
-@pytest.mark.parametrize("place", [-1, 0])
-def test_a_compressor_that_never_came_to_its_chunk_table(tmp_path: Path, place: int) -> None:
+@pytest.mark.parametrize("offset", [-1, 0])
+def test_a_compressor_that_never_came_to_its_chunk_table(tmp_path: Path, offset: int) -> None:
     path = write_las(tmp_path / "a.laz", n=1000)
     start = struct.unpack_from("<I", path.read_bytes(), 96)[0]
     table = struct.unpack_from("<q", path.read_bytes(), start)[0]
     path.write_bytes(path.read_bytes()[:table])
-    patch(path, start, "q", place)
+    patch(path, start, "q", offset)
     assert "its header counts 0 points" in refusal(counted(path, 0))
 
 

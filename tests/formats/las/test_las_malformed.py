@@ -72,8 +72,8 @@ HEADER_FAULTS = {
 @pytest.mark.parametrize("words", HEADER_FAULTS)
 def test_each_field_of_the_header(tmp_path: Path, words: str) -> None:
     path = write_las(tmp_path / "a.las", version="1.2", point_format=1, n=50)
-    place, code, values = HEADER_FAULTS[words]
-    assert words in fault(patch(path, place, code, *values))
+    offset, code, values = HEADER_FAULTS[words]
+    assert words in fault(patch(path, offset, code, *values))
 
 
 def test_more_vlrs_than_there_are(tmp_path: Path) -> None:
@@ -83,7 +83,7 @@ def test_more_vlrs_than_there_are(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("place", "code", "value", "words"),
+    ("offset", "code", "value", "words"),
     [
         (235, "Q", 10**12, "start of extended VLR 1 of 1 is 1000000000000"),
         (243, "I", 2**32 - 1, "number of extended VLRs"),
@@ -91,10 +91,10 @@ def test_more_vlrs_than_there_are(tmp_path: Path) -> None:
         (-20 - 40, "Q", 2**63, "length of extended VLR 1 of 1 is 9223372036854775808"),
     ],
 )
-def test_extended_vlrs(tmp_path: Path, place: int, code: str, value: int, words: str) -> None:
+def test_extended_vlrs(tmp_path: Path, offset: int, code: str, value: int, words: str) -> None:
     path = write_las(tmp_path / "a.laz", evlrs=[laspy.VLR("me", 1, "", bytes(20))])
     size = path.stat().st_size
-    assert words in fault(patch(path, place if place >= 0 else size + place, code, value))
+    assert words in fault(patch(path, offset if offset >= 0 else size + offset, code, value))
 
 
 def test_cut_off_anywhere(tmp_path: Path) -> None:
@@ -106,7 +106,7 @@ def test_cut_off_anywhere(tmp_path: Path) -> None:
             assert "copy it again" in fault(cut)
 
 
-def _laz_places(content: bytes) -> tuple[int, int, int]:
+def _laz_offsets(content: bytes) -> tuple[int, int, int]:
     """Bytes of the LASzip record's data, of the points, of the chunk table."""
     points = struct.unpack_from("<I", content, 96)[0]
     return (
@@ -137,7 +137,7 @@ LAZ_FAULTS: dict[str, Callable[[bytearray, tuple[int, int, int]], None]] = {
 def test_laz_structure(tmp_path: Path, words: str) -> None:
     path = write_las(tmp_path / "a.laz", n=60_000)
     content = bytearray(path.read_bytes())
-    LAZ_FAULTS[words](content, _laz_places(bytes(content)))
+    LAZ_FAULTS[words](content, _laz_offsets(bytes(content)))
     path.write_bytes(content)
     assert words in fault(path)
 
@@ -151,7 +151,7 @@ def test_damage_in_the_middle_never_passes_for_points(tmp_path: Path, point_form
         tmp_path / "a.laz", point_format=point_format, n=n, values={"X": walk, "Y": -walk}
     )
     content = bytearray(path.read_bytes())
-    record, points, table = _laz_places(bytes(content))
+    record, points, table = _laz_offsets(bytes(content))
     with path.open("rb") as file:
         file.seek(points)
         laz = lazrs.LazVlr(bytes(content[record:points]))

@@ -78,7 +78,7 @@ def test_chunk_size_zero_is_that_of_the_table(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("point_format", [1, 6])
-def test_a_stream_has_the_place_of_its_chunk_table_at_its_end(
+def test_a_stream_has_the_offset_of_its_chunk_table_at_its_end(
     tmp_path: Path, point_format: int
 ) -> None:
     path = write_las(tmp_path / "a.laz", n=60_000, point_format=point_format)
@@ -113,19 +113,19 @@ def test_whole_millimetres_are_exact(
     assert table["y"].tolist() == [int(exact_quanta(v, step, -offset)) for v in raw]
 
 
-def test_mixed_and_fine_scales_are_rounded_and_said(tmp_path: Path) -> None:
+def test_mixed_and_fine_scales_are_rounded_and_reported(tmp_path: Path) -> None:
     path = write_las(tmp_path / "a.laz", scales=(0.00025, 0.01, 0.001), offsets=(0.0005, 1.0, 2.0))
     table, oracle = read_all(path), laspy.read(path)
     error = table["x"] - np.asarray(oracle.x) * 1000
     assert 0.2 < np.abs(error).max() <= 0.5 + 1e-6
     np.testing.assert_array_equal(table["y"], np.asarray(oracle.Y, np.int64) * 10 + 1000)
     found = inspect(path)
-    (said,) = found.rounding
+    (remark,) = found.rounding
     assert found.warnings == found.in_metres(Units("US survey foot", 0.3048, "metre", 1.0)).rounding
-    assert said.startswith("the scale (0.00025, 0.01, 0.001) is not whole millimetres")
+    assert remark.startswith("the scale (0.00025, 0.01, 0.001) is not whole millimetres")
     for offset in (0.0005, 7.0001):
-        (said,) = inspect(write_las(tmp_path / "b.laz", offsets=(offset, 1.0, 2.0))).rounding
-        assert said.startswith("the offset is not whole millimetres: working coordinates are")
+        (remark,) = inspect(write_las(tmp_path / "b.laz", offsets=(offset, 1.0, 2.0))).rounding
+        assert remark.startswith("the offset is not whole millimetres: working coordinates are")
 
 
 @pytest.mark.parametrize("point_format", [1, 6])

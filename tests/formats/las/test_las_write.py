@@ -170,8 +170,8 @@ def test_waveforms_of_version_1_3_move_along(tmp_path: Path) -> None:
     patch(src, 227, "Q", start)
     classify(src, tmp_path / "b.laz")
     content = (tmp_path / "b.laz").read_bytes()
-    place = int.from_bytes(content[227:235], "little")
-    assert content[place:] == packet
+    offset = int.from_bytes(content[227:235], "little")
+    assert content[offset:] == packet
     assert laspy.read(tmp_path / "b.laz").header.number_of_evlrs == 1
 
 

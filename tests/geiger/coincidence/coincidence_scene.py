@@ -40,5 +40,5 @@ def region(scene: SceneSettings = SMALL) -> Bounds:
 
 
 def local(xyz: np.ndarray) -> np.ndarray:
-    """Places from the scene's centre and ground [m]."""
+    """Points from the scene's centre and ground [m]."""
     return xyz / 1000 - np.array(SMALL.origin_m)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from spl_batch.geiger.coincidence.scene_rays import _leaves, opaque
 from spl_batch.geiger.coincidence.settings import ArraySettings, CoincidenceSettings
-from spl_batch.geiger.coincidence.simulate import PLACES_M, SceneSettings, build
+from spl_batch.geiger.coincidence.simulate import POSITIONS_M, SceneSettings, build
 from spl_batch.geiger.coincidence.surface import coincide
 from spl_batch.geiger.coincidence.tables import Detections, Frames, Points
 from spl_batch.lattice.tiles import Bounds, cell_bounds, cells_touching
@@ -54,7 +54,7 @@ def test_detections_come_as_often_and_lie_where_they_should() -> None:
     # Ground gives 1 - exp(-0.25), spokes 1 - exp(-0.5).
     assert 1 - math.exp(-0.25) < (~dark).sum() / looks < 1 - math.exp(-0.5)
     away = detections.xyz / 1000 - frames.origin_m[np.searchsorted(frames.number, detections.frame)]
-    # A range is the middle of its bin; places are rounded to millimetres.
+    # A range is the middle of its bin; positions are rounded to millimetres.
     assert (np.linalg.norm(away, axis=1) - 2500) / 0.05 % 1 == pytest.approx(0.5, abs=0.03)
 
 
@@ -104,7 +104,7 @@ def off_m(xyz: np.ndarray) -> np.ndarray:
 
 
 def filled(xyz: np.ndarray) -> float:
-    """Share of the squares of 10 cm of the part looked at that hold a point."""
+    """Share of the cells of 10 cm of the part looked at that hold a point."""
     at = np.floor((xyz[:, :2] - SMALL.centre_m + np.array(SMALL.extent_m) / 2) / 0.1)
     return len(np.unique(at, axis=0)) / np.prod(np.rint(np.array(SMALL.extent_m) / 0.1))
 
@@ -134,7 +134,7 @@ def test_the_published_method_differs_by_its_named_settings() -> None:
         assert 0 < len(made(*flown(), one)) < len(found)
 
 
-def test_a_wider_window_fills_faint_places() -> None:
+def test_a_wider_window_fills_faint_surfaces() -> None:
     frames, detections = flown()
     faint = detections.take(np.random.default_rng(3).random(len(detections)) < 0.1)
     full, spread = [], []
@@ -151,16 +151,16 @@ def test_nothing_comes_of_noise() -> None:
     frames, detections = flown()
     noise = detections.take(np.abs(local(detections.xyz)[:, 2] - 1.0) > 2.0)
     assert not len(made(frames, noise))
-    # Ten detections in one place are no noise.
+    # Ten detections at one point are no noise.
     centre = np.array([500_003_000, 4_200_000_500, 140_000])
-    place = centre + np.random.default_rng(1).integers(-20, 20, (10, 3))
-    added = Detections(frames.number[:10], np.zeros(10, np.int32), place)
+    xyz = centre + np.random.default_rng(1).integers(-20, 20, (10, 3))
+    added = Detections(frames.number[:10], np.zeros(10, np.int32), xyz)
     found = made(frames, added, CoincidenceSettings(bridge_sign={"threshold": 0.005}))
     assert len(found) >= 1
     assert np.abs(found.xyz - centre).max() < 200
 
 
-def test_fewer_looks_make_a_place_brighter() -> None:
+def test_fewer_looks_make_a_point_brighter() -> None:
     """Half of the frames without their detections: every intensity falls by half."""
     frames, detections = flown()
     even = frames.number % 2 == 0
@@ -175,7 +175,7 @@ def test_leaves_are_listed_where_rays_meet_them() -> None:
     for _ in range(40):
         way = np.array([*rng.uniform(-0.06, 0.06, 2), -1.0])
         way /= np.linalg.norm(way)
-        origin = np.array([*(PLACES_M["foliage"] + rng.uniform(-6.5, 6.5, 2)), 5.0]) - 3000 * way
+        origin = np.array([*(POSITIONS_M["foliage"] + rng.uniform(-6.5, 6.5, 2)), 5.0]) - 3000 * way
         hit = np.empty(32, np.int64)
         n = _leaves(origin, way, scene, hit)
         t = (scene.leaves[:, 2] - origin[2]) / way[2]
@@ -188,7 +188,7 @@ def test_leaves_are_listed_where_rays_meet_them() -> None:
 
 
 @pytest.mark.parametrize(
-    ("place", "height", "target"),
+    ("xy", "height", "target"),
     [
         ((25.0, 0.5), 2.0, True),
         ((25.0, 1.5), 0.0, False),
@@ -199,8 +199,8 @@ def test_leaves_are_listed_where_rays_meet_them() -> None:
         ((4.0, -0.1), 0.0, False),
     ],
 )
-def test_what_a_ray_meets(place: tuple[float, float], height: float, target: bool) -> None:  # noqa: FBT001
+def test_what_a_ray_meets(xy: tuple[float, float], height: float, target: bool) -> None:  # noqa: FBT001
     scene = build(SceneSettings(targets=("spokes", "cube", "coil", "logo")))
-    t, bright = opaque(np.array([*place, 50.0]), np.array([0.0, 0.0, -1.0]), scene)
+    t, bright = opaque(np.array([*xy, 50.0]), np.array([0.0, 0.0, -1.0]), scene)
     assert bright is target
     assert 50 - t == pytest.approx(height, abs=0.002)

@@ -18,9 +18,9 @@ def coefficients(raster: np.ndarray, half: int) -> np.ndarray:
 
 
 def maximum(c: np.ndarray, ratio: float, reach: float) -> tuple[int, float, np.ndarray]:
-    place = np.empty(3)
-    kind, value = kernels.closest_maximum(c, ratio, reach, np.empty(3), np.empty((3, 3)), place)
-    return kind, value, place
+    offset = np.empty(3)
+    kind, value = kernels.closest_maximum(c, ratio, reach, np.empty(3), np.empty((3, 3)), offset)
+    return kind, value, offset
 
 
 @settings(deadline=None, max_examples=30)
@@ -50,18 +50,18 @@ def test_maxima_of_known_polynomials(curvatures: list[float], kind: int, seed: i
     basis = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     h, gradient = basis @ np.diag(curvatures) @ basis.T, rng.uniform(-0.3, 0.3, 3)
     c = np.array([5.0, *gradient, h[0, 0] / 2, h[1, 1] / 2, h[2, 2] / 2, h[0, 1], h[0, 2], h[1, 2]])
-    found, value, place = maximum(c, 0.5, 10.0)
+    found, value, offset = maximum(c, 0.5, 10.0)
     assert found == kind
     if kind == kernels.NOTHING:
         return
-    # The gradient is nothing along each maximum, the place lies in their span.
-    slope = (gradient + h @ place) @ basis
+    # The gradient is nothing along each maximum, the offset lies in their span.
+    slope = (gradient + h @ offset) @ basis
     assert slope[3 - kind :] == pytest.approx(0.0, abs=1e-9)
-    assert (place @ basis)[: 3 - kind] == pytest.approx(0.0, abs=1e-9)
-    assert value == pytest.approx(5.0 + gradient @ place + place @ h @ place / 2)
+    assert (offset @ basis)[: 3 - kind] == pytest.approx(0.0, abs=1e-9)
+    assert value == pytest.approx(5.0 + gradient @ offset + offset @ h @ offset / 2)
     if kind == kernels.PEAK:
-        assert place == pytest.approx(-np.linalg.inv(h) @ gradient)  # [M20] Eq. 4
-    far = float(np.abs(place).max())
+        assert offset == pytest.approx(-np.linalg.inv(h) @ gradient)  # [M20] Eq. 4
+    far = float(np.abs(offset).max())
     assert maximum(c, 0.5, far * 1.01)[0] == kind
     assert maximum(c, 0.5, far * 0.99)[0] == kernels.NOTHING
 
@@ -69,7 +69,7 @@ def test_maxima_of_known_polynomials(curvatures: list[float], kind: int, seed: i
 def surfaces(
     raster: np.ndarray, voxel: np.ndarray, looks: float, half: int, *limits: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Places, normals, values and kinds."""
+    """Offsets, normals, values and kinds."""
     summed = np.full(len(voxel), round((2 * half + 1) ** 3 * looks * UNIT))
     return kernels.find_surfaces(raster, summed, voxel, half, kernels.fit_matrix(half), *limits)
 
@@ -84,15 +84,15 @@ def layer(size: int, height: float, sigma: float) -> np.ndarray:
 def test_a_level_surface_is_found_once_at_its_height() -> None:
     raster, voxel = layer(13, 0.3, 1.2), np.array([[6, 6, z] for z in range(3, 10)])
     limits = (0.05, 0.5, 0.5, 0.5, 9.0)
-    place, normal, value, kind = surfaces(raster, voxel, 2.0, 3, *limits)
+    offset, normal, value, kind = surfaces(raster, voxel, 2.0, 3, *limits)
     # A parabola bends towards its own centre, so the voxel above claims the surface as well.
     assert kind.tolist() == [0, 0, 0, kernels.SURFACE, kernels.SURFACE, 0, 0]
     row_of = np.full(raster.shape, -1, np.int32)
     row_of[6, 6, 6:8] = [0, 1]
-    rows = (voxel[3:5], place[3:5], normal[3:5], value[3:5])
+    rows = (voxel[3:5], offset[3:5], normal[3:5], value[3:5])
     for along, kept in ((3, [True, False]), (-1, [True, True])):
         assert kernels.drop_weaker(*rows, row_of, along, 3, 0.0).tolist() == kept
-    assert place[3] == pytest.approx([0, 0, 0.3], abs=0.15)
+    assert offset[3] == pytest.approx([0, 0, 0.3], abs=0.15)
     assert np.abs(normal[3]) == pytest.approx([0, 0, 1], abs=1e-6)
     # A parabola over seven layers flattens a peak of 0.33 / 2 detections per look.
     assert 0.1 < value[3] < 0.17
@@ -131,15 +131,15 @@ def test_weaker_points_against_all_pairs(seed: int, reach: int, share: float) ->
     filled = rng.random((7, 6, 8)) < 0.3
     voxel = np.argwhere(filled)
     n = len(voxel)
-    place, normal = rng.uniform(-0.5, 0.5, (n, 3)), rng.normal(size=(n, 3))
+    offset, normal = rng.uniform(-0.5, 0.5, (n, 3)), rng.normal(size=(n, 3))
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     value = rng.integers(1, 9, n) / 8
     row_of = np.full(filled.shape, -1, np.int32)
     row_of[tuple(voxel.T)] = np.arange(n)
-    keep = kernels.drop_weaker(voxel, place, normal, value, row_of, 2, reach, share)
+    keep = kernels.drop_weaker(voxel, offset, normal, value, row_of, 2, reach, share)
     slow, edges = np.ones(n, np.bool_), np.zeros(n, np.bool_)
     for row in range(n):
-        away = voxel + place - voxel[row] - place[row]
+        away = voxel + offset - voxel[row] - offset[row]
         apart = np.abs(voxel - voxel[row]).max(axis=1)
         cosine = np.abs(away @ normal[row]) >= math.sqrt(0.5) * np.linalg.norm(away, axis=1)
         others = np.arange(n) != row

@@ -24,7 +24,7 @@ def raster_of(xyz: np.ndarray, corner: np.ndarray, shape: tuple[int, ...], edge:
 
 
 def tents(xyz: np.ndarray, corner: np.ndarray, shape: tuple[int, ...], edge: int) -> np.ndarray:
-    """Tent functions of all places at all voxel centres, on places rounded to parts of an edge."""
+    """Tent functions of all points at all voxel centres, rounded to parts of an edge."""
     total = np.zeros(shape)
     for p in xyz.tolist():
         steps = [math.floor(Fraction(v * STEPS, edge) - Fraction(STEPS - 1, 2)) for v in p]
@@ -39,7 +39,7 @@ def tents(xyz: np.ndarray, corner: np.ndarray, shape: tuple[int, ...], edge: int
 @settings(deadline=None, max_examples=25)
 @given(
     st.integers(0, 10_000),
-    # Edges with many factors of two put places on the boundaries between steps.
+    # Edges with many factors of two put positions on the boundaries between steps.
     st.sampled_from([5, 45, 64, 128]),
     st.tuples(*[st.integers(-(10**8), 10**8)] * 3),
     st.tuples(*[st.integers(0, 4)] * 3),
@@ -70,7 +70,7 @@ def samples(
     origin: NDArray[np.float64], turn: NDArray[np.float64], seen: NDArray[np.float32],
     gate: tuple[float, float],
 ) -> list[NDArray[np.float64]]:  # fmt: skip
-    """Places of all samples of all looks, one after the other."""
+    """Points of all samples of all looks, one after the other."""
     found = []
     for frame, row, column in np.ndindex(seen.shape):
         across = (row - (seen.shape[1] - 1) / 2) * 0.02
@@ -99,8 +99,8 @@ def test_looks_against_every_sample(seed: int) -> None:
     raster, slow = np.zeros((2, 9, 8, 10), np.int64)
     gate = np.array([2.9, 3.15])
     kernels.interrogate(origin, turn, seen, 0.02, gate, EDGE_M, FAR_CORNER, raster)
-    for place in samples(origin, turn, seen, (2.9, 3.15)):
-        u, v, w = (math.floor(p * STEPS / EDGE_M - (STEPS - 1) / 2) for p in place)
+    for point in samples(origin, turn, seen, (2.9, 3.15)):
+        u, v, w = (math.floor(p * STEPS / EDGE_M - (STEPS - 1) / 2) for p in point)
         kernels.deposit(u, v, w, FAR_CORNER, slow)
     assert raster.sum() > 10 * UNIT
     # Directions come from other sums: a sample may round to the next part of an edge.

@@ -86,7 +86,7 @@ def test_the_source_s_fit_finds_what_was_put_in() -> None:
     seen, _ = made(source.model_copy(update=put))
     found = fit(seen, source).settings
     assert found.scale == pytest.approx(1.02, abs=1e-3)
-    # Dim pixels stand for no range walk although theirs is A: it goes into the offset.
+    # Dim pixels show no range walk although theirs is A: it goes into the offset.
     assert found.offset_ns == pytest.approx(80.0 - 0.03 * np.exp(4.0 * 0.0125), abs=0.02)
     walk = Calibration(found, np.zeros(SHAPE)).walk_ns(np.array([0.8]))
     assert walk[0] == pytest.approx(0.03 * (np.exp(3.2) - np.exp(0.05)), abs=0.02)

@@ -1,4 +1,4 @@
-"""Lines of sight, places and refraction, against the source's equations and Snell's law."""
+"""Lines of sight, points and refraction, against the source's equations and Snell's law."""
 
 import numpy as np
 import pytest
@@ -17,10 +17,10 @@ def test_the_source_s_arrangement() -> None:
     assert view.y[0, 0] == pytest.approx(-0.1 * 15.5 / 50)
     middle = view.look[15:17, 15:17].mean(axis=(0, 1))
     assert np.degrees(np.arctan2(middle[0], middle[2])) == pytest.approx(19.5, abs=1e-3)
-    places = view.places(np.full((32, 32), 3.3))
-    assert places[15, 15, 2] == pytest.approx(-2.3 + 3.3 * np.cos(np.radians(19.5)), abs=2e-3)
-    assert places[0, 15, 0] > places[31, 15, 0], "the first row looks farthest forward"
-    assert places[15, 31, 1] > places[15, 0, 1]
+    points = view.points(np.full((32, 32), 3.3))
+    assert points[15, 15, 2] == pytest.approx(-2.3 + 3.3 * np.cos(np.radians(19.5)), abs=2e-3)
+    assert points[0, 15, 0] > points[31, 15, 0], "the first row looks farthest forward"
+    assert points[15, 31, 1] > points[15, 0, 1]
 
 
 def test_a_body_rolls_then_pitches_then_turns() -> None:

@@ -37,7 +37,7 @@ from spl_batch.geiger.water.surface import (
     shrunk_polynomial,
     window_median,
 )
-from spl_batch.geiger.water.tasks import grid_around, height_raster, known_places
+from spl_batch.geiger.water.tasks import grid_around, height_raster, known_points
 
 CAMERA = CameraSettings(last_rows_unused=0)
 VIEW = view_of(CAMERA, MountSettings(position_m=(1.0, 2.0, -3.0)))
@@ -167,9 +167,9 @@ def test_planes_are_found_exactly(method: str, normal: tuple[float, ...]) -> Non
     angle = angles_deg(made.normals[part], np.broadcast_to(n, (32, 32, 3))[part])
     if method == "adaptive" or normal[0] == 0:
         assert np.nanmax(angle[sound]) < 0.01
-        error = np.abs(made.places_m - VIEW.places(range_m))[part]
+        error = np.abs(made.points_m - VIEW.points(range_m))[part]
         assert np.nanmax(error[sound]) < 1e-4
-    assert np.isfinite(made.normals).all(), "dead pixels are lent a place"
+    assert np.isfinite(made.normals).all(), "dead pixels are lent a point"
 
 
 def test_a_pixel_far_off_takes_no_part() -> None:
@@ -192,12 +192,12 @@ def test_nothing_is_made_of_nothing(way: SurfaceSettings) -> None:
     nothing = np.zeros((32, 32), dtype=np.int64)
     hits = Hits(200, Gate(100, 147), nothing, nothing, nothing, nothing)
     made = make_surface(hits, nothing > 0, EXACT, VIEW, CAMERA, PixelSettings(), way)
-    assert np.isnan(made.places_m).all()
+    assert np.isnan(made.points_m).all()
     assert np.isnan(made.normals).all()
-    found = (made.places_m, made.normals)
+    found = (made.points_m, made.normals)
     assert surface_error(*found, np.zeros((32, 32)), np.zeros((32, 32, 3)))[0].pixels == 0
     assert np.isnan(floor_error(VIEW.look, found, found, 6.0, 1.33)).all()
-    assert not len(known_places(made.places_m, (1.0, 2.0, 3.0)))
+    assert not len(known_points(made.points_m, (1.0, 2.0, 3.0)))
 
 
 def test_medians_are_those_of_their_windows() -> None:
@@ -226,14 +226,14 @@ def test_non_local_means_weigh_patches_as_the_source_says() -> None:
 
 def test_errors_are_the_source_s() -> None:
     rng = np.random.default_rng(11)
-    places = np.zeros((5, 6, 3))
-    places[..., 2] = 2.0 + 0.01 * rng.standard_normal((5, 6))
+    points = np.zeros((5, 6, 3))
+    points[..., 2] = 2.0 + 0.01 * rng.standard_normal((5, 6))
     normals = rng.standard_normal((5, 6, 3)) * 0.1 + [0, 0, -1]
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    places[0, 0] = np.nan
+    points[0, 0] = np.nan
     true = np.full((5, 6), 1.995), np.broadcast_to([0.0, 0.0, -1.0], (5, 6, 3))
-    made, error, angle = surface_error(places, normals, *true)
-    down = places[..., 2][np.isfinite(places[..., 2])]
+    made, error, angle = surface_error(points, normals, *true)
+    down = points[..., 2][np.isfinite(points[..., 2])]
     assert made.bias_m == pytest.approx(down.mean() - 1.995)
     assert made.variance_m2 == pytest.approx(((down - down.mean()) ** 2).mean())
     assert made.mse_m2 == pytest.approx(((down - 1.995) ** 2).mean())
@@ -251,7 +251,7 @@ def test_errors_are_the_source_s() -> None:
 def test_floor_errors_vanish_for_the_true_surface() -> None:
     target = Target(down_m=0.8, waves=(Wave(amplitude_m=0.05, length_m=1.5, heading_deg=30.0),))
     range_m, normals = target.meet(VIEW, 0.3)
-    true = VIEW.places(range_m), normals
+    true = VIEW.points(range_m), normals
     made = floor_error(VIEW.look, true, true, 6.0, 1.33)
     assert made.refracted_m == pytest.approx(0)
     assert made.refracted_beam_m == pytest.approx(0)
@@ -268,15 +268,15 @@ def test_floor_errors_vanish_for_the_true_surface() -> None:
 def test_rasters_interpolate_the_surface_on_an_absolute_grid() -> None:
     n = np.array([0.05, -0.1, -1.0])
     n /= np.linalg.norm(n)
-    places = VIEW.places(a_plane(n, 0.4))
-    known = known_places(places, (0.0, 0.0, 0.0))
+    points = VIEW.points(a_plane(n, 0.4))
+    known = known_points(points, (0.0, 0.0, 0.0))
     grid = grid_around(known, 0.01)
-    assert grid.east * 0.01 <= places[..., 1].min() < (grid.east + 1) * 0.01
-    assert (grid.north + grid.rows) * 0.01 > places[..., 0].max()
+    assert grid.east * 0.01 <= points[..., 1].min() < (grid.east + 1) * 0.01
+    assert (grid.north + grid.rows) * 0.01 > points[..., 0].max()
     height = height_raster(known, grid)
     centre_n = (grid.north + np.arange(grid.rows) + 0.5) * 0.01
     centre_e = (grid.east + np.arange(grid.cols) + 0.5) * 0.01
-    plane = places[16, 16]
+    plane = points[16, 16]
     expected = (
         -plane[2] - ((centre_n[:, None] - plane[0]) * n[0] + (centre_e - plane[1]) * n[1]) / -n[2]
     )
@@ -286,6 +286,6 @@ def test_rasters_interpolate_the_surface_on_an_absolute_grid() -> None:
     assert np.median(np.abs(height - expected)[filled]) < 1e-9
     assert np.abs(height - expected)[filled].max() < 0.004
     # Cells of a local frame that begins elsewhere are the same.
-    away = known_places(places + np.array([0.125, -0.25, 7.0]), (0.25, -0.125, 7.0))
+    away = known_points(points + np.array([0.125, -0.25, 7.0]), (0.25, -0.125, 7.0))
     assert grid_around(away, 0.01) == grid
     np.testing.assert_allclose(height_raster(away, grid)[filled], height[filled], atol=1e-6)

@@ -80,7 +80,7 @@ def test_lines_of_sight_meet_the_waves() -> None:
     ripple = Wave(amplitude_m=0.01, length_m=0.5, heading_deg=-60.0, phase_deg=100.0)
     target = Target(down_m=0.8, waves=(swell, ripple))
     range_m, normals = target.meet(VIEW, 1.3)
-    north, east, down = np.moveaxis(VIEW.places(range_m), -1, 0)
+    north, east, down = np.moveaxis(VIEW.points(range_m), -1, 0)
     np.testing.assert_allclose(down, target.surface(north, east, 1.3)[0], atol=1e-9)
     step = 1e-6
     by_north = (target.surface(north + step, east, 1.3)[0] - down) / step

@@ -40,7 +40,7 @@ OUTWARD: Final = np.array([-1.0, -1.0, 1.0, 1.0])
 
 def extent(places_m: ArrayLike, units: Units = METRES) -> str:
     """Box around places, (n, 2) [m], in words: in the unit of ``units``, metres beside."""
-    (name, unit_m), places = units.of_places, np.asarray(places_m)
+    (name, unit_m), places = units.of_coordinates, np.asarray(places_m)
     if unit_m != 1.0:
         return f"{_box(places / unit_m, name)} ({_box(places, 'm')})"
     return _box(places, name)

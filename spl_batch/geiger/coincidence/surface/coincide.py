@@ -68,7 +68,7 @@ def coincide(
 
 
 def _first_voxel(edge_of_region: int, edge: int) -> int:
-    """First voxel whose centre is not before a place; both in quanta."""
+    """First voxel whose centre is not before a coordinate; both in quanta."""
     return -((edge - 2 * edge_of_region) // (2 * edge))
 
 
@@ -77,17 +77,17 @@ def _volumes(
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
     """First and last voxels of sub-volumes that hold everything worth rastering.
 
-    A neighbourhood of w voxels takes weight from places within w + 1 edges, in a block of two by
-    two by two cells of that edge. Blocks with too few detections are left out.
+    A neighbourhood of w voxels takes weight from detections within w + 1 edges, in a cube of two by
+    two by two cells of that edge. Cubes with too few detections are left out.
     """
     cell, edge = 2 * max(scene.chosen.windows) + 2, scene.chosen.volume_voxels
     least = scene.chosen.bridge_sign.detections_min
-    blocks = _crowded(scene.xyz // (cell * scene.edge_q), least) * cell
+    cubes = _crowded(scene.xyz // (cell * scene.edge_q), least) * cell
     spread = np.stack(np.meshgrid(*[[0, 2 * cell]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    volumes = np.unique(((blocks[:, None] + spread) // edge).reshape(-1, 3), axis=0)
+    volumes = np.unique(((cubes[:, None] + spread) // edge).reshape(-1, 3), axis=0)
     for volume in volumes:
         first, last = volume * edge, (volume + 1) * edge
-        own = blocks[((blocks + 2 * cell >= first) & (blocks < last)).all(axis=1)]
+        own = cubes[((cubes + 2 * cell >= first) & (cubes < last)).all(axis=1)]
         start = np.maximum(first, own.min(axis=0) - 1)
         stop = np.minimum(last, own.max(axis=0) + 2 * cell + 1)
         start[:2], stop[:2] = np.maximum(start[:2], low), np.minimum(stop[:2], high)
@@ -96,12 +96,12 @@ def _volumes(
 
 
 def _crowded(cells: NDArray[np.int64], least: int) -> NDArray[np.int64]:
-    """First cells of the blocks of 2 x 2 x 2 cells that hold enough detections: (b, 3)."""
+    """First cells of the cubes of 2 x 2 x 2 cells that hold enough detections: (b, 3)."""
     filled, count = np.unique(cells, axis=0, return_counts=True)
     spread = np.stack(np.meshgrid(*[[0, -1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    blocks = (filled[:, None] + spread).reshape(-1, 3)
-    first, place = np.unique(blocks, axis=0, return_inverse=True)
-    total = np.bincount(place.ravel(), np.repeat(count, len(spread)), len(first))
+    cubes = (filled[:, None] + spread).reshape(-1, 3)
+    first, inverse = np.unique(cubes, axis=0, return_inverse=True)
+    total = np.bincount(inverse.ravel(), np.repeat(count, len(spread)), len(first))
     return first[total >= least]
 
 
@@ -133,23 +133,23 @@ def _volume(scene: Scene, low: NDArray[np.int64], high: NDArray[np.int64]) -> Po
         # A thin layer's peak falls as the window grows.
         threshold = (rules.threshold or 0.0) * rules.window_voxels / (2 * half + 1)
         limits = threshold, rules.looks_min, rules.curvature_ratio, rules.reach_voxels
-        aside = fits.edge_offset(half) if rules.edge_rule else math.inf
+        off_centre = fits.edge_offset(half) if rules.edge_rule else math.inf
         window = half, fits.fit_matrix(half)
-        parts.append(fits.find_surfaces(raster, summed, rows, *window, *limits, aside))
+        parts.append(fits.find_surfaces(raster, summed, rows, *window, *limits, off_centre))
     found = [np.concatenate(part) for part in zip(*parts, strict=True)]
     # In the order of the raster, of points alone.
     rows = np.lexsort(voxel.T[::-1])
     rows = rows[found[-1][rows] != fits.NOTHING]
-    voxel, (place, normal, value, kind) = voxel[rows], (values[rows] for values in found)
+    voxel, (offset, normal, value, kind) = voxel[rows], (values[rows] for values in found)
     row_of = np.full(raster.shape, -1, np.int32)
     row_of[tuple(voxel.T)] = np.arange(len(voxel))
     half = rules.window_voxels // 2
     along = half if rules.strongest_along_normal else -1
     reach = half + BESIDE
-    own = fits.drop_weaker(voxel, place, normal, value, row_of, along, reach, rules.edge_share)
+    own = fits.drop_weaker(voxel, offset, normal, value, row_of, along, reach, rules.edge_share)
     own &= ((voxel >= rim) & (voxel < np.array(raster.shape) - rim)).all(axis=1)
-    places = (voxel[own] + corner + 0.5 + place[own]) * scene.edge_q
-    return Points(np.rint(places).astype(np.int64), value[own].astype(np.float32), kind[own])
+    xyz = (voxel[own] + corner + 0.5 + offset[own]) * scene.edge_q
+    return Points(np.rint(xyz).astype(np.int64), value[own].astype(np.float32), kind[own])
 
 
 def _looks(
@@ -200,7 +200,7 @@ def sight_error(frames: Frames, detections: Detections, array: ArraySettings) ->
         return 0.0
     body = np.einsum("nji,nj->ni", frames.turn[row], away)
     at = body[:, :2] / -body[:, 2:]
-    place = np.stack(np.divmod(own.detector, array.columns), axis=-1)
+    pixel = np.stack(np.divmod(own.detector, array.columns), axis=-1)
     middle = 0.5 * (np.array([array.rows, array.columns]) - 1)
-    off = at - (place - middle) * math.tan(array.ifov_rad)
+    off = at - (pixel - middle) * math.tan(array.ifov_rad)
     return float(np.median(np.hypot(off[:, 0], off[:, 1])) / array.ifov_rad)

@@ -102,18 +102,18 @@ def moments(
 def closest_maximum(
     c: NDArray[np.float64], ratio: float, reach: float,
     values: NDArray[np.float64], vectors: NDArray[np.float64],
-    place: NDArray[np.float64],
+    offset: NDArray[np.float64],
 ) -> tuple[int, float]:  # fmt: skip
-    """Place near a voxel's centre where its polynomial is at a maximum: kind, and value there.
+    """Offset from a voxel's centre to its polynomial's maximum: kind, and value there.
 
     ``c``: (10,) coefficients. ``ratio``: a further direction counts from this part of the strongest
     curvature. ``reach``: largest distance along each axis. ``values``, ``vectors``: scratch of
-    :func:`eigen_symmetric`; the last vector is the normal. ``place`` receives the place from the
+    :func:`eigen_symmetric`; the last vector is the normal. ``offset`` receives it, from the
     centre. Lengths are in voxel edges.
     """
     matrix = np.array([2.0 * c[4], c[7], c[8], 2.0 * c[5], c[9], 2.0 * c[6]])
     eigen_symmetric(matrix, values, vectors)
-    place[:] = 0.0
+    offset[:] = 0.0
     if values[2] >= 0.0:
         return NOTHING, 0.0
     value, kind = c[0], NOTHING
@@ -125,10 +125,10 @@ def closest_maximum(
         step = -slope / values[at]
         value += 0.5 * slope * step
         for axis in range(3):
-            place[axis] += step * v[axis]
+            offset[axis] += step * v[axis]
         kind += 1
     for axis in range(3):
-        if not -reach <= place[axis] < reach:
+        if not -reach <= offset[axis] < reach:
             return NOTHING, 0.0
     return kind, value
 
@@ -137,20 +137,20 @@ def closest_maximum(
 def find_surfaces(
     detections: NDArray[np.int64], looks: NDArray[np.int64], voxel: NDArray[np.int64],
     half: int, fit: NDArray[np.float64],
-    threshold: float, looks_min: float, ratio: float, reach: float, aside: float,
+    threshold: float, looks_min: float, ratio: float, reach: float, off_centre: float,
 ) -> Maxima:  # fmt: skip
     """Points of maximum density near (n, 3) voxels of a raster of detections.
 
     ``looks``: (n,), interrogations summed over each neighbourhood; as ``detections`` in parts of
     :data:`~.voxel_raster.UNIT`. ``half``, ``fit``: voxels beside a neighbourhood's centre, and its
-    matrix. ``aside``: largest distance of the detections' mean from the centre, across the normal
-    [voxel edges].
+    matrix. ``off_centre``: largest distance of the detections' mean from the centre, across the
+    normal [voxel edges].
 
-    Gives for each voxel the place from its centre [voxel edges], the direction of the strongest
+    Gives for each voxel the offset from its centre [voxel edges], the direction of the strongest
     maximum, detections per interrogation, and :data:`NOTHING` or what was found.
     """
     n = len(voxel)
-    place, normal = np.zeros((n, 3)), np.zeros((n, 3))
+    offset, normal = np.zeros((n, 3)), np.zeros((n, 3))
     value, kind = np.zeros(n), np.zeros(n, np.uint8)
     moment, c = np.empty(10, np.int64), np.empty(10)
     values, vectors = np.empty(3), np.empty((3, 3))
@@ -164,20 +164,20 @@ def find_surfaces(
             for j in range(10):
                 total += fit[i, j] * moment[j]
             c[i] = total
-        found, height = closest_maximum(c, ratio, reach, values, vectors, place[row])
+        found, height = closest_maximum(c, ratio, reach, values, vectors, offset[row])
         share = height * cube / looks[row]
         if found == NOTHING or share < threshold:
             continue
-        if _to_the_side(moment, vectors[2]) <= aside:
+        if _to_the_side(moment, vectors[2]) <= off_centre:
             kind[row] = found
             value[row] = share
             normal[row] = vectors[2]
-    return place, normal, value, kind
+    return offset, normal, value, kind
 
 
 @njit()
 def drop_weaker(
-    voxel: NDArray[np.int64], place: NDArray[np.float64], normal: NDArray[np.float64],
+    voxel: NDArray[np.int64], offset: NDArray[np.float64], normal: NDArray[np.float64],
     value: NDArray[np.float64], row_of: NDArray[np.int32], half: int, reach: int, share: float,
 ) -> NDArray[np.bool_]:  # fmt: skip
     """Which points have no stronger one before or behind them, nor much stronger ones beside.
@@ -203,9 +203,9 @@ def drop_weaker(
                     other = row_of[p, q, r]
                     if other < 0 or other == row or not keep[row]:
                         continue
-                    dx = p - i + place[other, 0] - place[row, 0]
-                    dy = q - j + place[other, 1] - place[row, 1]
-                    dz = r - k + place[other, 2] - place[row, 2]
+                    dx = p - i + offset[other, 0] - offset[row, 0]
+                    dy = q - j + offset[other, 1] - offset[row, 1]
+                    dz = r - k + offset[other, 2] - offset[row, 2]
                     along = dx * normal[row, 0] + dy * normal[row, 1] + dz * normal[row, 2]
                     if 2.0 * along * along < dx * dx + dy * dy + dz * dz:
                         total += value[other]

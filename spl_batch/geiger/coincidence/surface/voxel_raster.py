@@ -1,9 +1,9 @@
 """Detections and looks on a voxel raster, with trilinear weights [M20 4.1].
 
 The lattice is absolute: voxel i of an axis covers ``[i, i + 1)`` edges from coordinate zero, its
-value is that of its centre. A place is rounded to :data:`STEPS` parts of an edge, so its weights in
-the eight voxels around are whole numbers that add up to :data:`UNIT`: sums are exact, whatever a
-raster is cut from. Samples of looks are computed from the sensor's place in the survey's
+value is that of its centre. A position is rounded to :data:`STEPS` parts of an edge, so its weights
+in the eight voxels around are whole numbers that add up to :data:`UNIT`: sums are exact, whatever a
+raster is cut from. Samples of looks are computed from the sensor's position in the survey's
 coordinates, and round alike in each raster.
 
 A look is sampled at whole multiples plus a half of a voxel's edge from the sensor; a sample is one
@@ -21,13 +21,13 @@ from scipy.ndimage import convolve1d
 from spl_batch.numerics.compiled import njit
 
 STEPS: Final = 32
-"""Parts of a voxel's edge that places are rounded to [count]."""
+"""Parts of a voxel's edge that positions are rounded to [count]."""
 
 UNIT: Final = STEPS**3
 """What one detection, or one interrogation, adds to a raster in all."""
 
 _HALF: Final = 0.5 * (STEPS - 1)
-"""A voxel's centre lies half an edge from its corner, and places are rounded [steps]."""
+"""A voxel's centre lies half an edge from its corner, and positions are rounded [steps]."""
 
 _SHIFT: Final = 5
 _MASK: Final = STEPS - 1
@@ -35,7 +35,7 @@ _MASK: Final = STEPS - 1
 
 @njit()
 def deposit(u: int, v: int, w: int, corner: NDArray[np.int64], raster: NDArray[np.int64]) -> None:
-    """Add one place, :data:`UNIT` in all, to a raster from a voxel of the absolute lattice on.
+    """Add one point, :data:`UNIT` in all, to a raster from a voxel of the absolute lattice on.
 
     ``u``, ``v``, ``w``: steps from that lattice's first voxel's centre [count]. What lies at a
     raster's rim is left out: its outermost voxels have not all that is theirs.
@@ -61,9 +61,9 @@ def deposit(u: int, v: int, w: int, corner: NDArray[np.int64], raster: NDArray[n
 def deposit_all(
     xyz: NDArray[np.int64], edge: int, corner: NDArray[np.int64], raster: NDArray[np.int64]
 ) -> None:
-    """Add places, (n, 3) [quanta], to a raster of voxels of this edge [quanta], exactly.
+    """Add points, (n, 3) [quanta], to a raster of voxels of this edge [quanta], exactly.
 
-    A place counts in the step that it is rounded to, ``floor(STEPS x / edge - (STEPS - 1) / 2)``.
+    A point counts in the step that it is rounded to, ``floor(STEPS x / edge - (STEPS - 1) / 2)``.
     """
     for row in range(len(xyz)):
         u = (2 * STEPS * xyz[row, 0] - (STEPS - 1) * edge) // (2 * edge)
@@ -118,7 +118,7 @@ def interrogate(
 ) -> None:  # fmt: skip
     """Add the interrogations of all looks of some frames, a sample for each voxel's edge [m].
 
-    ``origin``, ``turn``: (f, 3), places of the sensor [m]; (f, 3, 3), as :func:`look_direction`
+    ``origin``, ``turn``: (f, 3), positions of the sensor [m]; (f, 3, 3), as :func:`look_direction`
     takes them. ``seen``: (f, rows, columns), slant range of each detector's detection, infinite
     where it made none [m]. ``tangent``: of a detector's field of view. ``gate``: slant ranges
     between which detectors are armed [m].

@@ -1,4 +1,4 @@
-"""Model of the report of a water surface: ``report.json`` is this, as it stands."""
+"""Model of the report of a water surface: ``report.json`` is this model."""
 
 from typing import Literal
 

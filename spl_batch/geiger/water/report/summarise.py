@@ -244,7 +244,7 @@ def _pictures(
     sums = read_arrays(context.store.path("counts", f"{key}.npz"))
     delivered = done.get("deliver_file", {}).get(key)
     height = None
-    # Without a place that is known there are points alone, none of them.
+    # Where no point is known the table of points is delivered alone, without rows.
     if delivered is not None and delivered.points:
         part = read_overview(context.output / f"surfaces/{delivered.facts['delivered']}.tif")
         height = Raster(part.values, part.extent_m)
