@@ -47,7 +47,7 @@ def fit_plate(points: Values, stiffness: float) -> Values | None:
 def plate_heights(points: Values, plate: Values, x: Values, y: Values) -> Values:
     """Heights of a plate of :func:`fit_plate` at places: (m,)."""
     n = len(points)
-    heights = plate[n] + plate[n + 1] * x + plate[n + 2] * y
+    heights: Values = plate[n] + plate[n + 1] * x + plate[n + 2] * y
     # One after the other: how numpy sums depends on how many places there are, and all bendings at
     # once would be held as often as there are points.
     for k in range(n):
