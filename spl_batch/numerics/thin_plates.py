@@ -47,10 +47,11 @@ def fit_plate(points: Values, stiffness: float) -> Values | None:
 def plate_heights(points: Values, plate: Values, x: Values, y: Values) -> Values:
     """Heights of a plate of :func:`fit_plate` at the points x, y: (m,)."""
     n = len(points)
-    level = plate[n] + plate[n + 1] * x + plate[n + 2] * y
-    # One after the other: how numpy sums depends on how many points there are.
-    terms = np.vstack([level, plate[:n, np.newaxis] * _bending(points, x, y)])
-    heights: Values = np.cumsum(terms, axis=0, dtype=np.float64)[-1]
+    heights: Values = plate[n] + plate[n + 1] * x + plate[n + 2] * y
+    # One after the other: how numpy sums depends on how many points there are, and all bendings at
+    # once would be held as often as there are points.
+    for k in range(n):
+        heights += plate[k] * _bending(points[k : k + 1], x, y)[0]
     return heights
 
 

@@ -180,6 +180,8 @@ def share_out(
         return seen, seen
     changes = np.ones(len(shot), np.int64)
     changes[1:] = time[1:] != time[:-1]
+    # The first beamlet of a window is of a shot, whenever the one before it was fired.
+    changes[begin] = 1
     start = window[begin] * window_shots - shot[begin] // interval_shots * interval_shots
     low = np.maximum(start, first[row[begin]])
     high = np.minimum(start + window_shots - 1, last[row[begin]])

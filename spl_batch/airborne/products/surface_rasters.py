@@ -40,7 +40,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.afterpulse.hard_surfaces import SHARP
 from spl_batch.airborne.ground.water.level import REACH_M, flattened, in_water, water_levels
 from spl_batch.airborne.products.cell_values import (
     by_cell,
@@ -140,8 +139,8 @@ class _Surfaces:
         if any(edge % size for edge in cell):
             raise ValueError(f"ground cell {cell} is not aligned to raster cells of {size} quanta")
         self._cell, self._settings, self._size = cell, settings, size
-        # Ground returns so near to their median are no outliers.
-        self._floor_m = SHARP * range_sigma_m
+        # Ground returns within three standard deviations of a range are no outliers.
+        self._floor_m = 3.0 * range_sigma_m
         self.region = grow(cell, margin_cells(settings) * size)
         self._table = table
         near = (table["ground"] == 1) & inside(table["x"], table["y"], self.region)

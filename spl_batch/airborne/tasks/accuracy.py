@@ -181,7 +181,7 @@ def own_points(share: float | None) -> Iterator[Finding]:
 
     Of another survey's hardly any is.
     """
-    if share is not None and share > 1.0 - share:
+    if share is not None and share > 0.5:
         yield Finding("C02", {"kind": "own", "share": share})
 
 

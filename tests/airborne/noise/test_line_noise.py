@@ -341,6 +341,14 @@ def test_windows_count_the_shots_fired_and_the_beamlets_seen(
         assert fired[i] == max(span, len(set(time[mine])))
 
 
+def test_a_window_that_has_a_beamlet_has_a_shot() -> None:
+    # Shots of one time, as a clock that stands gives them, beyond the last that was fired.
+    shot, row = np.array([0, 1, 2]), np.zeros(3, np.int64)
+    none_fired = np.array([5]), np.array([4])
+    fired, seen = share_out(shot, np.full(3, 7.0), 1, 10, row, *none_fired)
+    assert fired.tolist() == seen.tolist() == [1, 1, 1]
+
+
 @pytest.mark.parametrize(("above", "more"), [(2000, "above"), (500, "below")])
 def test_a_side_with_more_returns_is_left_out(above: int, more: str) -> None:
     buffers = len(BUFFER_LADDER)
