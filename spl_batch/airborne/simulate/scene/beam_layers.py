@@ -34,12 +34,6 @@ SURFACE_SHARE = 0.02
 ABOVE_M: Final = 1e4
 """Height to look from [m]."""
 
-SEE_THROUGH: Final = 0.15
-"""Share of a pulse that must be left for the hard surface to be recorded."""
-
-WIRE_SHARE: Final = 0.02
-"""Share of a pulse that a wire must catch to be recorded."""
-
 
 @njit()
 def nearest_node(scene: SceneArrays, x: float, y: float) -> tuple[int, int]:
@@ -245,11 +239,14 @@ def linear_returns(
     xy: NDArray[np.float64],
     above_m: float,
     spot_m: float,
+    seen_through: float,
+    seen_wire: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
     """Up to two returns of each vertical pulse: one of a layer, one of the hard surface.
 
     The pulse is infrared: the surface of water is as far as it gets. Pulses go down at ``xy``
-    (n, 2). Heights [m], NaN where there is no return, and what gave them: (n, 2) each.
+    (n, 2). ``seen_through, seen_wire``: shares of a pulse at which the hard surface and a wire are
+    recorded, 0..1. Heights [m], NaN where there is no return, and what gave them: (n, 2) each.
     """
     z, kind, layers = np.empty(xy.shape), np.zeros(xy.shape, np.uint8), empty_layers(scene)
     origin, down = np.empty(3), np.array([0.0, 0.0, -1.0])
@@ -264,7 +261,7 @@ def linear_returns(
                 break
             share = layers[k, 2]
             thin = layers[k, 1] == layers[k, 0]
-            seen = share > WIRE_SHARE if thin else rng.random() < share
+            seen = share > seen_wire if thin else rng.random() < share
             if seen and np.isnan(z[p, 0]):
                 at = layers[k, 0]
                 if not thin:
@@ -272,6 +269,6 @@ def linear_returns(
                 z[p, 0] = above_m - at
                 kind[p, 0] = int(layers[k, 4])
             left *= 1 - share
-        z[p, 1] = above_m - hard if left > SEE_THROUGH else np.nan
+        z[p, 1] = above_m - hard if left > seen_through else np.nan
         kind[p, 1] = int(hard_kind)
     return z, kind
