@@ -45,9 +45,8 @@ _STIFFNESS = 1.0
 """Of plates, in blocks: they smooth over about half a block. Half moves 122 + 15 cells of the DTM,
 twice 123 + 24 cells of the DTM."""
 
-ENOUGH = 6
-"""Places with ground that a plate, or the plane of a ring, is fitted to, at least [count]. At 4 it
-moves 984 + 0 cells of its sigma, at twice 5752 + 4563 cells of its sigma."""
+PLATE_BLOCKS = 6
+"""Blocks at a rim that a plate is fitted to, at least [count]. Half and twice move nothing."""
 
 _CELLS = 2.0
 """Cells with ground in a block, on the average; in sparser clouds gaps are everywhere [count]."""
@@ -131,7 +130,7 @@ def _add_plate(
 ) -> None:  # fmt: skip
     """Add what a node's plate lies above the terrain, by its weight; ``first``: cell of that."""
     points = _rim_around(node, blocks, window)
-    plate = fit_plate(points, _STIFFNESS) if len(points) >= ENOUGH else None
+    plate = fit_plate(points, _STIFFNESS) if len(points) >= PLATE_BLOCKS else None
     if plate is None:
         return
     middle, reach = node * block - first, NODE_BLOCKS * block

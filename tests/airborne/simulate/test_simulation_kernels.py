@@ -44,7 +44,7 @@ def bare(z, kind=ray_trace.KIND_GROUND, ponds=(), steep_top=-math.inf):
     shape = z.shape
     return ray_trace.Ground(
         z, np.full(shape, 0.2), np.full(shape, kind, np.uint8), np.array([0.0, 0.0, 1.0]),
-        np.zeros(shape, np.uint8), np.array(ponds, np.float64).reshape(-1, 3), steep_top,
+        np.zeros(shape, np.uint8), np.array(ponds, np.float64).reshape(-1, 4), steep_top,
     )  # fmt: skip
 
 

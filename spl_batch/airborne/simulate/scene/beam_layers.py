@@ -28,9 +28,6 @@ from spl_batch.numerics.compiled import njit
 LAYER_FIELDS = 5
 """Columns of a layer: enter, leave [m], share intercepted, reflectance, kind."""
 
-SURFACE_SHARE = 0.02
-"""Share of a beam that a clear water's surface turns back: Fresnel's, near the vertical."""
-
 ABOVE_M: Final = 1e4
 """Height to look from [m]."""
 
@@ -61,8 +58,8 @@ def _add_water(
     top = (pond[0] - o[2]) / d[2]
     if top >= hard:
         return n
-    rho = pond[2] / SURFACE_SHARE
-    n = _insert(layers, n, top, top, SURFACE_SHARE, rho, float(KIND_WATER))
+    rho = pond[2] / pond[3]
+    n = _insert(layers, n, top, top, pond[3], rho, float(KIND_WATER))
     share = 1.0 - math.exp(-2.0 * pond[1] * (hard - top))
     return _insert(layers, n, top, hard, share, 0.0, float(KIND_WATER))
 

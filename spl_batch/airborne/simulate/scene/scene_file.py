@@ -149,6 +149,13 @@ class Water(Section):
         0.15, description="Diffuse attenuation of clear water, one way [1/m]."
     )
     bottom_reflectance: Share = Field(0.15, description="Of its bottom.")
+    surface_share: float = Field(
+        0.02,
+        gt=0,
+        le=1,
+        description="Of a beam that the surface of clear water turns back: Fresnel's, near the "
+        "vertical.",
+    )
     waves_m: NotNegative = Field(
         0.0, description="Spread of heights of opaque water with standing waves [m]."
     )

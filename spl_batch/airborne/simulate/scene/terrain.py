@@ -44,7 +44,7 @@ def make_ground(scene: Scene, rng: np.random.Generator, lean: float) -> Ground:
         rho *= _parcels(scene, (ny, nx), terrain.parcel_m)
     kind = np.full((ny, nx), KIND_GROUND, dtype=np.uint8)
     pond_at = np.zeros((ny, nx), dtype=np.uint8)
-    dry = Ground(z, np.clip(rho, 0.0, 1.0), kind, grid, pond_at, np.zeros((0, 3)))
+    dry = Ground(z, np.clip(rho, 0.0, 1.0), kind, grid, pond_at, np.zeros((0, 4)))
     ground = dry._replace(ponds=_flood(scene, dry))
     rise = max(float(np.abs(np.diff(z, axis=axis)).max(initial=0.0)) for axis in (0, 1))
     return ground._replace(steep_top=float(z.max()) if rise * lean > STEEPEST * step else -math.inf)
@@ -117,7 +117,7 @@ def _flood(scene: Scene, ground: Ground) -> NDArray[np.float64]:
 
     Clear water shows its bottom, which falls from the shore at the same slope.
     """
-    ponds: list[tuple[float, float, float]] = []
+    ponds: list[tuple[float, ...]] = []
     nodes, step = ground.z.shape, ground.grid[2]
     for water in scene.water:
         polygon = shapely.Polygon(water.ring_m)
@@ -145,5 +145,5 @@ def _flood(scene: Scene, ground: Ground) -> NDArray[np.float64]:
             z[deep] = level - np.minimum(water.bank_slope * shore, water.depth_m)[deep]
             rho[deep], kind[deep] = water.bottom_reflectance, KIND_BOTTOM
             pond_at[deep] = len(ponds)
-            ponds.append((level, water.attenuation_per_m, water.reflectance))
-    return np.array(ponds, dtype=np.float64).reshape(-1, 3)
+            ponds.append((level, water.attenuation_per_m, water.reflectance, water.surface_share))
+    return np.array(ponds, dtype=np.float64).reshape(-1, 4)
