@@ -56,6 +56,9 @@ TIMES_NOISE: Final = 4.0
 SEEN: Final = 0.8
 """Least share of the columns of a place in which the ground is seen."""
 
+BESIDE: Final = 3
+"""Filled places among nine [count]. Without, crowns that are clumped by 1.2 fill air."""
+
 THIN: Final = 0.1
 """Signals of a column that are fewer than this share of others in it are no surface."""
 
@@ -123,11 +126,13 @@ def filled_blocks(
 
 def fill_facts(filled: Marks, core: Bounds) -> dict[str, list[float]]:
     """What the report needs of a ground cell, by its :func:`filled_blocks`."""
-    anywhere: Marks = np.asarray(filled.any(axis=2))
+    beside = ndimage.convolve(filled.astype(np.int8), np.ones((3, 3, 1), np.int8), mode="constant")
+    air = filled & (beside >= BESIDE)
+    anywhere: Marks = np.asarray(air.any(axis=2))
     found = [one for one in patches(anywhere) if PLACE_M**2 * one.squares >= WARNED_M2]
     if not found:
         return {FILLED: []}
-    own = filled[found[0].at][found[0].marked]
+    own = air[found[0].at][found[0].marked]
     low_m = float(np.median(own.argmax(axis=1))) + FLOOR_M
     high_m = float(np.median(own.shape[1] - 1 - own[:, ::-1].argmax(axis=1))) + BLOCK + FLOOR_M
     west_m, south_m = (-(-side // _EDGE) * PLACE_M for side in (core.xmin, core.ymin))

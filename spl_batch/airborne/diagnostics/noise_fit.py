@@ -41,6 +41,10 @@ LEAST: Final = 300
 """Returns that a block, or a p-value, must have by the model to be judged: p-values of neighbours
 hang together, so that chance makes twice the difference that it makes otherwise [count]."""
 
+P_TIMES: Final = (0.5, 1.5)
+"""Small p-values over uniform ones that are no reason to warn: without beamlet numbers they are
+0.64, and nothing is lost."""
+
 
 def noise_findings(done: Receipts) -> Iterator[Finding]:
     """Noise that differs from what is expected, haze, and p-values that are not uniform."""
@@ -168,7 +172,7 @@ def _p_value_findings(cells: Mapping[str, Receipt]) -> Iterator[Finding]:
 def _not_uniform(counts: NDArray[np.int64]) -> Finding | None:
     """What :func:`uniformity` finds where it is a reason to warn."""
     found = uniformity(counts)
-    if found is None or found[0] < UNEVEN:
+    if found is None or P_TIMES[0] < found[0] < P_TIMES[1]:
         return None
     values = {"times": found[0], "p_value": found[1], "returns": int(counts.sum())}
     return Finding("N05", values, badness=abs(float(np.log(max(found[0], 1e-6)))))

@@ -23,6 +23,9 @@ WIDTH_M = 3.0
 _TALLEST_M = 30.0
 """Heights count up to this: one mast is no reason [m]."""
 
+_GROUND_SHARE = 0.2
+"""Part of the covered cells that are the ground or lie on it, at which a strip shows enough of it."""
+
 
 def read_strip(
     strip: Bounds, done: Mapping[str, Mapping[str, Receipt]], context: Context
@@ -51,14 +54,14 @@ def read_strip(
 def tallest_strip(height: RasterPart) -> Bounds:
     """Covered strip with the largest sum of heights above ground; the first of equals.
 
-    Heights count by the share of the strip that shows the ground: under a closed canopy there is
-    hardly any, and a profile of leaves alone shows no terrain. A cell with a surface counts for a
+    Heights count in full where the strip also shows :data:`_GROUND_SHARE` of ground: under a closed
+    canopy there is hardly any, and a profile of leaves alone shows no terrain. A cell with a surface counts for a
     metre besides: a picture shows no empty strip.
     """
     known = height.values > NODATA
     capped = np.where(known, np.clip(height.values.astype(np.float64), 0.0, _TALLEST_M), 0.0)
     cover, low = (strip_sums(height, some) for some in (known, known & (capped <= TALL_M)))
-    open_share = low / np.maximum(cover, 1.0)
+    open_share = np.minimum(low / np.maximum(cover, 1.0) / _GROUND_SHARE, 1.0)
     return best_strip(height, cover + strip_sums(height, capped) * open_share)[0]
 
 

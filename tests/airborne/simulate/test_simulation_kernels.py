@@ -308,7 +308,7 @@ def test_a_tail_takes_its_share_of_the_lags():
 
 
 def test_clear_water_is_a_surface_a_column_and_a_bottom():
-    ground = bare(np.full((20, 20), 8.0), ray_trace.KIND_BOTTOM, [(10.0, 0.3, 0.04)])
+    ground = bare(np.full((20, 20), 8.0), ray_trace.KIND_BOTTOM, [(10.0, 0.3, 0.04, 0.02)])
     scene = ray_trace.SceneArrays(
         ground, np.zeros((0, 6, 4)), np.zeros((0, 4)), np.zeros((0, 8)), np.zeros((0, 10)),
         np.array([0.0, 0.0, 20.0]), np.zeros((1, 2), np.int64), np.zeros(0, np.int64),
