@@ -32,7 +32,7 @@ from spl_batch import api
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.simulate import simulate
 from spl_batch.airborne.simulate.scene.scene_file import Scene
-from spl_batch.airborne.store import cells, label_tables
+from spl_batch.airborne.store import label_tables
 from spl_batch.engine.store.working_store import Store, read_receipts
 from spl_batch.engine.tasks import runner
 from spl_batch.engine.tasks.task import Receipt, Task
@@ -98,7 +98,7 @@ def tasks(workflow: Path, overrides: Sequence[str]) -> None:
 
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
         stack.enter_context(mock.patch.object(runner, "run_task", watched))
-        stack.enter_context(mock.patch.object(cells, "read_region", counted))
+        stack.enter_context(mock.patch.object(label_tables, "read_region", counted))
         for attempt in ("first", "second"):  # the first one loads and compiles
             seen.clear()
             api.run(workflow, workers=0, overrides=[f"output={folder}/{attempt}", *overrides])

@@ -26,7 +26,7 @@ import dask
 from distributed import Client, LocalCluster, as_completed
 
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.plan.inputs.reference_files import ReferenceFiles
+from spl_batch.airborne.plan.inputs.files import Files
 from spl_batch.airborne.plan.inputs.survey_inputs import Inputs, Source
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.settings.workflow import parse_workflow
@@ -72,7 +72,7 @@ def made_up_survey(side: int, memory_bytes: int) -> Survey:
     workflow = parse_workflow({"survey": {"flightlines": "a"}, "output": "o"}, "made up")
     lines = max(side // (SWATH_TILES // 2), 1)
     sources = tuple(_source(k, side) for k in range(lines * FILES_PER_LINE))
-    survey = Survey(Inputs(sources, (), (), ReferenceFiles(), None, ()), workflow, memory_bytes, 16)
+    survey = Survey(Inputs(sources, (), (), Files(), None, ()), workflow, memory_bytes, 16)
     for source in sources:
         place = {"bounds": _bounds(side), "parts": [{}]}
         facts = {"hash": _hash(source.name), "points": 1, "spans": {}, **place}

@@ -24,7 +24,7 @@ from spl_batch.airborne.noise import voxel_noise
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.airborne.settings.workflow import load_workflow
 from spl_batch.airborne.simulate.scene.ray_trace import KINDS
-from spl_batch.airborne.store.voxel_parts import StoredVoxels
+from spl_batch.airborne.store.voxel_parts import read_voxels
 
 VOXEL_M: Final = 10.0
 
@@ -186,8 +186,8 @@ def voxels(folder: Path, overrides: tuple[str, ...]) -> Voxels:
     api.run(folder / "workflow.yaml", workers=0, until="shuffle", overrides=settings)
     corner, truth, scene, (x, y, z) = _lattice(folder)
     totals = {"amount": np.zeros(truth.shape, dtype=np.int64)}
-    for part in sorted((folder / output / "store" / "voxels").glob("*/*.zarr")):
-        StoredVoxels(part).add((corner[0], corner[1], corner[2]), totals)
+    for part in sorted((folder / output / "store" / "voxels").glob("*/*.npz")):
+        read_voxels(part).add((corner[0], corner[1], corner[2]), totals)
     noise = load_workflow(folder / "workflow.yaml", settings).noise
     density = voxel_noise.density(totals["amount"], noise)
     core = _core(x, y, scene)

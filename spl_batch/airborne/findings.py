@@ -15,7 +15,7 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             "An input file is odd",
             {
                 "header": "{what}",
-                "times": "the header says {stated}, gps_time holds {found}",
+                "times": "the header states {stated}, gps_time holds {found}",
                 "clock": "gps_time is {found}, that of most points of the survey {main}: "
                 "flightlines are not put together, and copies count twice",
                 "withheld": "every point is withheld or of class 7 or 18, so none of them is used",
@@ -77,7 +77,7 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "others, from {first} to {last}, have no gaps",
             },
             "they are taken into account",
-            "tell who maintains the instrument if it had more before",
+            "report to who maintains the instrument if it had more before",
             "flightline",
             "note",
         ),
@@ -110,7 +110,7 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "none": "no input file carries a CRS and survey.crs is not set: coordinates and "
                 "heights are taken as metres; where they are feet, name a CRS in feet with heights "
                 "in feet, survey.crs: EPSG:...+6360",
-                "local": "the CRS that files name, {crs}, does not say where on earth it is",
+                "local": "the CRS that files name, {crs}, does not show where on earth it is",
                 "others": "no CRS in the file; its coordinates are taken as {crs}, in {unit}, as "
                 "of others",
                 "vertical": "no vertical datum in the file; its heights are taken as {crs}, as of "
@@ -147,7 +147,7 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "seem about {seconds:.1f} s {late}; a part of each scan alone looks so, too",
                 "uncovered": "the trajectory does not cover {count:returns} between gps_time "
                 "{first_s:.3f} and {last_s:.3f}, or they do not lie below it",
-                "unit": "puts the sensor {stated_m:length} above its returns in {lines}, whose "
+                "unit": "puts the sensor {stated_m:length} above its returns in {line}, whose "
                 "lines of sight meet {met_m:length} above them: its heights seem to be in {unit}; "
                 "name its CRS with that of its heights, survey.trajectory_crs: {crs}",
                 "file": "{what}",
@@ -287,7 +287,7 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             "{share:.1%} of the terrain model has a standard deviation of more than "
             "{sigma_m:length}; the largest place has {area_m2:.0f} m2",
             "ground returns are far there for ground so rough, or what stood there was cut off",
-            "measure no heights or volumes where dtm_quality.tif says so; classify bridges, dams "
+            "measure no heights or volumes where dtm_quality.tif shows it; classify bridges, dams "
             "and crests by hand if they matter",
         ),
         "G02": Code(

@@ -111,7 +111,7 @@ def compile_share(share: int, shares: int, names: Listed) -> None:
     needed = {name: set(_called(find(name))) for name in {*chain.from_iterable(mine.values())}}
     whole, ready, compiled = len(set().union(*needed.values())), set[str](), 0
     for number, step in enumerate(mine):
-        # Those that call few others first: each part is short then, and what is told moves evenly.
+        # Those that call few others first: each part is short then, and progress moves evenly.
         for name in reversed(mine[step]):
             _say(len(ready), whole, compiled, number)
             ready |= needed[name]

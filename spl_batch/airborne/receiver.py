@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
-from spl_batch.airborne.catalogue.delivered_files import (
+from spl_batch.airborne.catalogue import (
     CLIENT_TILES,
     CONTOURS,
     INDEX,
@@ -13,21 +13,12 @@ from spl_batch.airborne.catalogue.delivered_files import (
     VIRTUAL,
 )
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.lines.comparison import (
-    done_sentence,
-    offset_warnings,
-    pairs_of,
-    shifts_of,
-)
+from spl_batch.airborne.lines.comparison import done_sentence, shifts_of
 from spl_batch.airborne.plan.cost import SurveyCost, estimate
-from spl_batch.airborne.plan.grid import require_whole_cells
 from spl_batch.airborne.plan.inputs.findings import (
     beams_without_trajectory,
     copies,
-    heights_in_other_unit,
     judge_index,
-    looks_ahead,
-    merged_shots,
     points_astray,
     refuse_empty_area,
 )
@@ -69,7 +60,6 @@ class Imaging(Receiver[Survey, Context]):
 
     def gather(self, workflow: Workflow, base: Path, output: Path) -> Inputs:
         """Find and check every file of a workflow, from headers alone."""
-        require_whole_cells(workflow)
         return gather_inputs(workflow, base, output)
 
     def cost(self, prepared: Prepared[Survey, Context]) -> SurveyCost:
@@ -125,10 +115,6 @@ class Imaging(Receiver[Survey, Context]):
         survey = prepared.ledger
         if step.name == "index_file":
             yield from judge_index(survey, [r for r in failed if r.kind.startswith("index_")])
-        if step.name == "observe":
-            yield from merged_shots(survey)
-            yield from looks_ahead(survey)
-            yield from heights_in_other_unit(survey)
         if step.name == "build_tile":
             refuse_empty_area(survey)
             yield from copies(survey)
@@ -141,7 +127,6 @@ class Imaging(Receiver[Survey, Context]):
             yield beams_without_trajectory(survey)
         if step.name == "align" and survey.workflow.survey.align != "none":
             yield from _shift_notes(survey, prepared.context.shown_units)
-        yield from _swath_findings(step, survey)
 
     def reference(self, ledger: Survey) -> list[str]:
         """Files that the results are compared with."""
@@ -185,13 +170,6 @@ class Imaging(Receiver[Survey, Context]):
 
 RECEIVER: Final[Receiver[Any, Any]] = Imaging()
 """The one there is."""
-
-
-def _swath_findings(step: Step, survey: Survey) -> Iterator[Finding]:
-    """What is found of flightlines where they overlap."""
-    if step.name == "strip_pairs":
-        pairs = pairs_of(survey.of("strip_pairs").values())
-        yield from offset_warnings(pairs, survey.workflow.survey.align)
 
 
 def _shift_notes(survey: Survey, units: Units) -> Iterator[Finding]:

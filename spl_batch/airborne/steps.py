@@ -55,16 +55,6 @@ _ground = partial(_step, "ground", "tasks.space_domain", "space_tasks", unit="gr
 _align = partial(_step, "ground", "lines.comparison", "space_tasks")
 _surface = partial(_step, "surfaces", "tasks.surfaces", "space_tasks", unit="ground cell")
 _pairs = partial(_step, "surfaces", "lines.comparison", "space_tasks")
-_patches = partial(
-    _step,
-    "ground",
-    "lines.comparison:strip_patches",
-    "space_tasks",
-    unit="ground cell",
-    bytes_per_point=80,
-    remedy="lower ground.cell_m",
-    bind=_LABELLED,
-)
 _delivery = partial(_step, "deliver", "tasks.delivery", "delivery_tasks", delivers=True)
 _client = partial(_step, "deliver", "tasks.client_tiles", "delivery_tasks", delivers=True)
 _reference = partial(_step, "report", "tasks.reference", "reference_tasks")
@@ -98,8 +88,15 @@ STEPS: Final[Steps] = table(
         remedy="lower tiling.tile_m",
         after=("build_tile",),
     ),
-    _patches("recorded_patches", after=("build_tile",)),
-    _align("align", settings=("survey.align",), after=("recorded_patches",)),
+    _align(
+        "strip_patches",
+        unit="ground cell",
+        bytes_per_point=80,
+        remedy="lower ground.cell_m",
+        after=("build_tile",),
+        bind=_LABELLED,
+    ),
+    _align("align", settings=("survey.align",), after=("strip_patches",)),
     _ground(
         "ground",
         settings=("ground",),
@@ -108,7 +105,6 @@ STEPS: Final[Steps] = table(
         after=_SHUFFLED,
         bind=_LABELLED,
     ),
-    _patches("strip_patches", after=_SHUFFLED),
     _surface(
         "surface",
         settings=(

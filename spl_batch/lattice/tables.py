@@ -270,6 +270,26 @@ class VoxelPart:
     #: half-way up the voxel, at x * 4 + y, 16 for one over ground of gain 1; they add up as well.
     squares: NDArray[np.uint16] | None = None
 
+    def layers(self) -> range:
+        """Absolute indices of its layers."""
+        return range(self.corner[2], self.corner[2] + self.amount.shape[2])
+
+    def add(self, corner: Sequence[int], totals: Mapping[str, NDArray[Any]]) -> None:
+        """Add it to a box of voxels, in place, where they overlap.
+
+        ``corner``: absolute index of the box's first voxel; ``totals``: the box by the name of the
+        sum, ``amount``, ``shots``, ``beamlets``, ``squares``.
+        """
+        for name, total in totals.items():
+            values = getattr(self, name)
+            low = np.maximum(self.corner, corner)
+            ends = np.add(self.corner, values.shape[:3]), np.add(corner, total.shape[:3])
+            high = np.maximum(np.minimum(*ends), low)
+            of_part, of_box = (
+                tuple(map(slice, low - first, high - first)) for first in (self.corner, corner)
+            )
+            total[of_box] += values[of_part].astype(total.dtype, copy=False)
+
     def box(self) -> list[int]:
         """First voxel along x, y, z, and the ones past the last."""
         ends = (c + n for c, n in zip(self.corner, self.amount.shape, strict=True))

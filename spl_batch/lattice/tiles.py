@@ -5,7 +5,7 @@ Every region is half-open, ``[min, max)``, in integer quanta of
 belongs to exactly one tile, ground cell, voxel and raster cell, whatever else is in the survey.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -164,28 +164,6 @@ def far_apart(
                 break
         else:
             yield rows
-
-
-def shared_box(
-    first: Sequence[int], shape: Sequence[int], corner: Sequence[int], size: Sequence[int]
-) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
-    """Where two boxes of voxels share some: slices of either, empty where they do not.
-
-    Parameters
-    ----------
-    first, corner : (3,) int
-        Absolute index of the first voxel of each.
-    shape, size : (3,) int or more
-        Voxels along the axes of each; further ones are left out.
-    """
-    low = [max(a, b) for a, b in zip(first, corner, strict=True)]
-    high = [
-        max(min(a + n, b + m), least)
-        for a, n, b, m, least in zip(first, shape, corner, size, low, strict=False)
-    ]
-    of_one = tuple(slice(a - c, b - c) for a, b, c in zip(low, high, first, strict=True))
-    of_other = tuple(slice(a - c, b - c) for a, b, c in zip(low, high, corner, strict=True))
-    return of_one, of_other
 
 
 class BoxIndex:

@@ -258,7 +258,7 @@ def test_a_clients_tiles_are_cut_out_of_clouds_and_rasters_that_are_written_agai
         return surveys.write_workflow(tmp_path, outputs={"client_tiles": asked, **outputs})
 
     refused = surveys.command("plan", workflow("copc", cell=3))
-    assert (refused.status, "cannot be cut into copc" in refused.err) == (2, True)
+    assert (refused.status, "cannot be written as copc" in refused.err) == (2, True)
     metres = surveys.run(workflow("copc", units="m"))
     assert metres.exit_status == 0, metres.report.failures
     octree = surveys.laspy.read(tiles / "A.copc.laz")

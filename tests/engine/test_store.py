@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import zarr
+from zarr.storage import ZipStore
 
-from spl_batch.airborne.store.voxel_parts import StoredVoxels, write_voxels
+from spl_batch.airborne.store.voxel_parts import read_voxels, write_voxels
 from spl_batch.engine.store.working_store import (
     Store,
     append_log,
@@ -72,13 +74,13 @@ def test_half_a_receipt_or_an_altered_one_is_none(tmp_path: Path) -> None:
 
 def test_a_damaged_file_is_made_again_so_often_and_then_given_up(tmp_path: Path) -> None:
     store, known = Store(tmp_path), dict[str, int]()
-    chunk = "store/voxels/a/c/0"
+    file = "store/voxels/a.zarr.zip"
     for _ in range(TRIES):
-        write_receipt(store, receipt("a", outputs={"store/voxels/a": "0"}))
-        assert forget_makers(store, ["gather"], [chunk], known) == ["store/voxels/a"]
+        write_receipt(store, receipt("a", outputs={file: "0"}))
+        assert forget_makers(store, ["gather"], [file], known) == [file]
         assert read_receipt(store, "gather", "a") is None
-    write_receipt(store, receipt("a", outputs={"store/voxels/a": "0"}))
-    assert forget_makers(store, ["gather"], [chunk], known) == []
+    write_receipt(store, receipt("a", outputs={file: "0"}))
+    assert forget_makers(store, ["gather"], [file], known) == []
     assert read_receipt(store, "gather", "a") is not None
     assert forget_makers(store, ["gather"], ["store/voxels/b"], known) == [], "nobody made it"
 
@@ -212,20 +214,29 @@ def test_what_cannot_be_read_is_not_as_written(
     assert not is_as_written(path, 1, 1, content)
 
 
+def test_voxels_are_a_zarr_group_for_any_reader(tmp_path: Path) -> None:
+    known = part((-5, 0, 2), (7, 5, 3), 1)
+    write_voxels(tmp_path / "a.zarr.zip", known)
+    with ZipStore(tmp_path / "a.zarr.zip", mode="r") as store:
+        group = zarr.open_group(store, mode="r")
+        assert group.attrs["corner"] == [-5, 0, 2]
+        np.testing.assert_array_equal(group["amount"][...], known.amount)
+
+
 def test_voxel_parts_add_up_in_any_order(tmp_path: Path) -> None:
     parts = [part((-5, 0, 2), (7, 5, 3), 1), part((-1, 3, 0), (40, 35, 4), 2)]
     whole = np.zeros((60, 60, 20), np.int64)
     for k, p in enumerate(parts):
-        write_voxels(tmp_path / f"{k}.zarr", p)
+        write_voxels(tmp_path / f"{k}.zarr.zip", p)
         at = tuple(slice(c + 10, c + 10 + n) for c, n in zip(p.corner, p.amount.shape, strict=True))
         whole[at] += p.amount
     for order in ((0, 1), (1, 0)):
         box = np.zeros((12, 30, 3), np.int64)
         for k in order:
-            StoredVoxels(tmp_path / f"{k}.zarr").add((-3, 1, 1), {"amount": box})
+            read_voxels(tmp_path / f"{k}.zarr.zip").add((-3, 1, 1), {"amount": box})
         assert np.array_equal(box, whole[7:19, 11:41, 11:14])
     far = np.zeros((2, 2, 2), np.int64)
-    StoredVoxels(tmp_path / "0.zarr").add((100, 0, 0), {"amount": far})
+    read_voxels(tmp_path / "0.zarr.zip").add((100, 0, 0), {"amount": far})
     assert not far.any()
 
 
@@ -234,7 +245,7 @@ def test_the_same_part_gives_the_same_bytes(tmp_path: Path) -> None:
         write_voxels(tmp_path / name, part((0, 0, 0), (40, 3, 2), 5))
     assert checksum(tmp_path / "a") == checksum(tmp_path / "b")
     write_voxels(tmp_path / "empty", part((0, 0, 0), (0, 0, 0), 5))
-    StoredVoxels(tmp_path / "empty").add((0, 0, 0), {"amount": np.zeros((2, 2, 2), np.int64)})
+    read_voxels(tmp_path / "empty").add((0, 0, 0), {"amount": np.zeros((2, 2, 2), np.int64)})
 
 
 def test_the_log_has_one_line_for_each_event(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.plan import task_memory
 from spl_batch.airborne.plan.cost import estimate
-from spl_batch.airborne.plan.inputs.reference_files import ReferenceFiles
+from spl_batch.airborne.plan.inputs.files import Files
 from spl_batch.airborne.plan.inputs.survey_inputs import Inputs
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import (
@@ -264,7 +264,7 @@ def test_a_plan_counts_what_many_small_files_take_beside_their_points() -> None:
     for files, points in ((1, 100_000), (2000, 50)):
         facts = SimpleNamespace(n_points=points, mins_m=(0.0, 0.0, 0.0), maxs_m=(99.0, 99.0, 9.0))
         sources = tuple(SimpleNamespace(facts=facts, key=k) for k in range(files))
-        inputs = Inputs(sources, (), (), ReferenceFiles((), ()), None, ())  # type: ignore[arg-type]
+        inputs = Inputs(sources, (), (), Files(), None, ())  # type: ignore[arg-type]
         times.append(estimate(Survey(inputs, WORKFLOW, 2**32, 2)).time_s)
     assert times[0] < 10
     assert 30 < times[1] < 300

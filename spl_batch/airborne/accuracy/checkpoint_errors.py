@@ -1,4 +1,4 @@
-"""Vertical accuracy at checkpoints, as the second edition of the ASPRS standards wants it told.
+"""Vertical accuracy at checkpoints, as the second edition of the ASPRS standards wants it reported.
 
 Source: ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2: Version 1.0
 (2023), sections 7.1, 7.4 and 7.13; the wording is that of Version 2 (2024), section 7.16. Both
@@ -7,7 +7,7 @@ fits the checkpoints, ``RMSE_V1``, and how well the checkpoints are known, ``RMS
 
     RMSE_V = sqrt(RMSE_V1^2 + RMSE_V2^2).
 
-Non-vegetated (NVA) and vegetated (VVA) checkpoints are told apart, 30 of them at least, and no
+Non-vegetated (NVA) and vegetated (VVA) checkpoints are kept apart, 30 of them at least, and no
 accuracy at 95 % confidence is stated any more. VVA is an RMSE too; it is reported and does not pass
 or fail. With fewer checkpoints the standard has another sentence, which names their number; here it
 follows the words that they are insufficient.
@@ -45,7 +45,7 @@ LEAST_OUTLIER_M: Final = 0.01
 
 
 class CheckpointError(NamedTuple):
-    """What the DTM says at a checkpoint."""
+    """Height of the DTM at a checkpoint."""
 
     id: str
     error_m: float
@@ -102,7 +102,7 @@ def statement(
     class_m: float,
     of_heights: tuple[str, float] = ("m", 1.0),
 ) -> str:
-    """What may be said of a product, in the standard's words.
+    """Statement of accuracy of a product, in the standard's words.
 
     ``class_m``: vertical accuracy class that was asked for: the largest RMSE_V [m];
     ``of_heights``: unit of delivery, and the metres in it.

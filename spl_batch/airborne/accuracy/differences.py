@@ -61,7 +61,7 @@ def terrain_differences(
     ``all``; ``open_ground``: no reference point more than 0.5 m above the ground within 2 m, no
     surface 0.5 m above both the terrain and the point; ``under_canopy``: vegetation 2 m or more
     above it within 1 m; and ``slope_0_5``, ``slope_5_15``, ... in degrees. ``reference``: all
-    classes, those that are not ground tell what stands on it; ``chm``: what is no open ground
+    classes, those that are not ground show what stands on it; ``chm``: what is no open ground
     stands out in it, and above the reference; ``at_ground_m``: :func:`ground_differences`, where
     they are known.
     """
@@ -73,7 +73,7 @@ def terrain_differences(
         height = chm.at(points[:, :2])
         over = height + dtm.at(points[:, :2]) - points[:, 2]
         # Ground that the terrain cuts off stands above the terrain, but not above itself. A void
-        # CHM says nothing against open ground.
+        # CHM shows nothing against open ground.
         is_open &= ~((height >= TALL_M) & (over >= TALL_M))
     classes = {
         "all": np.ones(len(points), np.bool_),

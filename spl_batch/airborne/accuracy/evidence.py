@@ -55,7 +55,7 @@ class Evidence:
     pulses: PulseTotals | None  #: First returns, by the level's spacing; None without any.
     single: bool  #: Whether each swath is judged by itself; else all of them together.
     by_swath: Mapping[str, SwathTotals]  #: First returns of each flightline, by its name.
-    water_known: bool  #: Whether polygons say where water is.
+    water_known: bool  #: Whether polygons show where water is.
     swaths: SwathDifferences | None  #: None where no flightlines were compared.
     flightlines: int
     classes: Mapping[int, int]  #: Points by class [count].

@@ -46,7 +46,7 @@ class Reference:
     #: (n,): ASPRS classes: 2 ground, 6 building, 9 water, 7 and 18 noise; all else counts as
     #: vegetation.
     classification: NDArray[np.uint8]
-    #: (n,): points that enter the statistics. The others, from a margin around a chunk, only tell
+    #: (n,): points that enter the statistics. The others, from a margin around a chunk, only show
     #: what stands nearby. By default all.
     counted: NDArray[np.bool_] | None = None
 

@@ -46,7 +46,7 @@ class Requirement:
     required: str = Field(description="What is asked for, with units.")
     found: str = Field(description="What was found, with units.")
     verdict: Answer = Field(description="Whether it is met.")
-    why: str = Field(description="What that rests on, or what would tell.")
+    why: str = Field(description="What that rests on, or what would decide.")
     standard: str = Field(description="Who requires it.")
     section: str = Field(description="Edition and section.")
 
@@ -178,7 +178,7 @@ def _by_swath(
     if not by_swath:
         if not enough:
             return Requirement(*place, whole, "fail", why, *where)
-        why = "nothing tells flightlines apart: one by itself may have less"
+        why = "nothing distinguishes flightlines: one by itself may have less"
         return Requirement(*place, whole, "cannot tell", why, *where)
     name = min(by_swath, key=lambda name: (by_swath[name], name))
     found = f"{text(by_swath[name])} in {name}"
@@ -330,7 +330,7 @@ def _gps_time(known: Evidence) -> Requirement:
 
 
 def answers(verdicts: Iterable[Answer]) -> dict[Answer, int]:
-    """How many requirements are met, are not, and cannot be told of."""
+    """How many requirements are met, are not, and cannot be judged."""
     found: dict[Answer, int] = {"pass": 0, "fail": 0, "cannot tell": 0}
     for verdict in verdicts:
         found[verdict] += 1

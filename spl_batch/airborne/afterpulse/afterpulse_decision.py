@@ -1,7 +1,7 @@
 r"""Decision which afterpulse candidates are afterpulses, by the returns around them.
 
 Domain: space. The source gives up on vegetation and loses the bottom of water [W17 7.6]: a true
-second return has the same signature as an afterpulse. *Other* beamlets tell them apart. For a
+second return has the same signature as an afterpulse. *Other* beamlets distinguish them. For a
 candidate at lag :math:`l` two rates per metre of beamlet compete:
 
 - :math:`\lambda_a = p \sum f(l)`, afterpulses: column ``afterpulse_rate``, by the flightline's law

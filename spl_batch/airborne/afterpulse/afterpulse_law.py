@@ -12,7 +12,7 @@ without a follower before a bin of width w, n have one in it, and b A w of those
 
 The sensor's own law, an exponential from the dead time to its longest lag, counts as :data:`PRIOR`
 afterpulses. The table goes on beyond the longest lag where more follow than chance and background
-explain, beginning right behind that lag, and enough in all. The same planes tell the ranging
+explain, beginning right behind that lag, and enough in all. The same planes give the ranging
 spread.
 """
 

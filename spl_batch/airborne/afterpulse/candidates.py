@@ -42,8 +42,8 @@ from spl_batch.lattice.tables import BeamTable, PointTable, rows_of
 from spl_batch.numerics.simd import LANES
 
 EVERY: Final = 4
-"""One shot in so many tells the law, by shot number: no cut matters. Half and twice move 94 + 103
-and 114 + 100 labels."""
+"""The law is learnt from one shot in so many, by shot number: no cut matters. Half and twice move
+94 + 103 and 114 + 100 labels."""
 
 
 def assess(

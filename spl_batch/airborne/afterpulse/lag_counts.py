@@ -1,7 +1,7 @@
 """Counts of afterpulses by lag, behind planes where nothing else can follow, and of these planes.
 
 See :mod:`spl_batch.airborne.afterpulse.afterpulse_law`. Returns on a hard plane spread by the
-ranging noise alone, on other planes by more: the least spread of planes tells it. Heath and meadows
+ranging noise alone, on other planes by more: the least spread of planes gives it. Heath and meadows
 have no hard plane: then even the least spreads are unlike, and the sensor's own figure stands.
 """
 
@@ -48,15 +48,15 @@ the lag."""
 
 
 PLANES_LEAST: Final = 30
-"""Planes that can tell a spread or a tail [count]: a few of shrubs look alike, and may just have
+"""Planes that make a spread or a tail known [count]: a few of shrubs look alike, and may just have
 something behind them."""
 
 QUANTILE: Final = 0.2
 """Quantile of the planes' spreads: in any survey with planes a fifth of them is hard."""
 
 SPREAD_CHANCE: Final = 1.15
-"""Spread of hard planes over that quantile, as some twenty returns of a plane tell it. Half moves
-nothing, twice 304 + 1063 labels."""
+"""Spread of hard planes over that quantile, estimated from some twenty returns of a plane. Half
+moves nothing, twice 304 + 1063 labels."""
 
 BELIEVED: Final = 1.3
 """Factor to the sensor's spread below which a larger one is roughness of the ground. Half moves 48
@@ -65,8 +65,8 @@ BELIEVED: Final = 1.3
 LOW: Final = 0.1
 ALIKE: Final = 0.7
 """Spreads of hard planes are alike: of those up to :data:`QUANTILE` no larger share is smaller than
-the largest times this. As twenty returns tell it, that is 0.78 on the level and 0.72 on mountains;
-on real heath it is 0.35 to 0.66."""
+the largest times this. From twenty returns, that is 0.78 on the level and 0.72 on mountains; on
+real heath it is 0.35 to 0.66."""
 
 
 class Counts(NamedTuple):

@@ -1,6 +1,6 @@
 """Warnings where a flightline's returns disagree with the facts of its sensor.
 
-Domain: time. The law and the ranging spread follow the data. The user is told where they are not
+Domain: time. The law and the ranging spread follow the data. A finding names where they are not
 what the sensor states, as its other figures may be wrong too.
 """
 
@@ -52,7 +52,7 @@ def uneven(
     parts: Sequence[Mapping[str, NDArray[Any]]], spans_s: Sequence[tuple[float, float]],
     law: AfterpulseLaw, noise_per_m: float, sensor: Sensor,
 ) -> tuple[Finding, ...]:  # fmt: skip
-    """What to tell of stretches of a flightline that do not follow its law.
+    """Findings about stretches of a flightline that do not follow its law.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def uneven(
     law, noise_per_m
         Of the flightline; background per metre of beamlet [1/m].
     sensor : Sensor
-        Its longest lag: what follows later is told of whole flightlines only.
+        Its longest lag: what follows later is a finding of whole flightlines only.
     """
     odd = []
     for part, span_s in zip(parts, spans_s, strict=True):
@@ -82,7 +82,7 @@ def uneven(
 
 
 def disagreements(law: AfterpulseLaw, sensor: Sensor) -> tuple[Finding, ...]:
-    """What to tell of a flightline's law and ranging spread."""
+    """Findings about a flightline's law and ranging spread."""
     stated_m, late = sensor.afterpulse_lag_max_m, law.later_than(sensor.afterpulse_lag_max_m)
     found = []
     if law.longest_m > stated_m and late >= WARNED_SHARE:

@@ -1,7 +1,7 @@
 """What a caller's arrays must be, and the table that the survey's steps take.
 
 Metres become whole numbers on the lattice of :data:`~spl_batch.constants.QUANTUM_M`, as the points
-of a file do. Faults are told all at once: which array, which value, what helps.
+of a file do. All faults are reported at once: which array, which value, what helps.
 """
 
 from collections.abc import Mapping
@@ -37,7 +37,7 @@ MOST_OF_A_SHOT: Final = 10_000
 """Returns of one time above which it is no shot's: 100 beamlets return some hundreds [count]."""
 
 FEWEST: Final = 10
-"""Points below which nothing tells degrees from metres: the box around them is small either way."""
+"""Points below which degrees are as likely as metres: the box around them is small either way."""
 
 Numbers = NDArray[Any]
 

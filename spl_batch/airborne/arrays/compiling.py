@@ -16,34 +16,31 @@ LINE: Final = (
 )
 
 
-class _Teller(event.Listener):
+class _Notice(event.Listener):
     """Writes the line when the first kernel is compiled and not loaded."""
 
-    def __init__(self) -> None:
-        self.told = False
+    written = False
 
-    def on_start(self, event: Any) -> None:
+    def on_start(self, _: Any) -> None:
         """A kernel is about to be compiled."""
-        del event
-        if not self.told:
-            self.told = True
+        if not self.written:
+            self.written = True
             sys.stderr.write(LINE)
             sys.stderr.flush()
 
-    def on_end(self, event: Any) -> None:
+    def on_end(self, _: Any) -> None:
         """It is compiled."""
-        del event
 
 
-_TELLER: Final = _Teller()
+_NOTICE: Final = _Notice()
 
 
-def telling(function: Callable[P, R]) -> Callable[P, R]:
-    """Say it on standard error, once in a process, where a function compiles."""
+def with_notice(function: Callable[P, R]) -> Callable[P, R]:
+    """Write the line on standard error, once in a process, where a function compiles."""
 
     @wraps(function)
-    def told(*arguments: P.args, **named: P.kwargs) -> R:
-        with event.install_listener("numba:compile", _TELLER):
+    def wrapped(*arguments: P.args, **named: P.kwargs) -> R:
+        with event.install_listener("numba:compile", _NOTICE):
             return function(*arguments, **named)
 
-    return told
+    return wrapped

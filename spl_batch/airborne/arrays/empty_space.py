@@ -10,8 +10,8 @@ hold clearly more than the median layer the returns are taken for signal as well
 highest layer of a square are left out: the gate ends in them.
 
 A square with too little such space takes the density of the nearest with more. So does one at the
-rim: slanting beams reach it at some heights only, and its empty layers tell nothing. A cloud
-without empty space, as one whose vendor has removed the noise, tells nothing.
+rim: slanting beams reach it at some heights only, and its empty layers show nothing. A cloud
+without empty space, as one whose vendor has removed the noise, shows nothing.
 
 What this cannot know: where the gate ends, flightlines that overlap only in part of a square, and
 noise that changes with height.
@@ -51,10 +51,10 @@ UNEVEN: Final = 1.5
 """Variance over mean that a layer of noise may have: flightlines overlap in parts of squares."""
 
 LEAST_M: Final = 15.0
-"""Height of empty space that a square needs to tell its density [m]."""
+"""Height of empty space that a square needs to have a density [m]."""
 
 RIM: Final = 3
-"""A square farther in than beams go aside, 55 m on 150 m at 20 degrees off nadir, was flown over at
+"""A square farther in than beams lean, 55 m on 150 m at 20 degrees off nadir, was flown over at
 every height [squares]."""
 
 
@@ -103,8 +103,8 @@ def empty_space(x: NDArray[np.int64], y: NDArray[np.int64], z: NDArray[np.intege
     held = (np.bincount(number, minlength=squares) > 0).reshape(shape)
     within = own.reshape(shape) * ndimage.distance_transform_cdt(np.pad(held, 1))[1:-1, 1:-1]
     deepest = ndimage.maximum_filter(within, 2 * RIM + 1, mode="constant")
-    told = (within > 0) & (within >= np.minimum(deepest, RIM))
-    nearest = ndimage.distance_transform_edt(~told, return_distances=False, return_indices=True)
+    sure = (within > 0) & (within >= np.minimum(deepest, RIM))
+    nearest = ndimage.distance_transform_edt(~sure, return_distances=False, return_indices=True)
     filled = grid[tuple(nearest)]
     return EmptySpace(
         filled.reshape(-1)[number], float(volume[own].sum()), float(own[number].mean())
@@ -161,9 +161,9 @@ def _pooled(
     rows = np.flatnonzero(even)
     if not len(rows):
         return np.zeros(squares), np.zeros(squares)
-    told, group = np.unique(layers.square[rows], return_inverse=True)
+    known, group = np.unique(layers.square[rows], return_inverse=True)
     middle = np.zeros(squares)
-    middle[told] = ndimage.median(mean[rows], group, np.arange(len(told)))
+    middle[known] = ndimage.median(mean[rows], group, np.arange(len(known)))
     expected = middle[layers.square] * layers.cubes
     even &= layers.returns <= expected + SIGMA * np.sqrt(expected + 1.0)
     enough = np.bincount(layers.square[even], minlength=squares) * LAYER_M >= LEAST_M

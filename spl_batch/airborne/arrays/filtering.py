@@ -2,7 +2,7 @@
 
 The filter asks for one thing that coordinates do not hold: the noise density around each point.
 It is given, or follows from the beams as in a run, or is measured in the cloud's own empty space
-(:mod:`~spl_batch.airborne.arrays.empty_space`); ``basis`` of the result says which.
+(:mod:`~spl_batch.airborne.arrays.empty_space`); ``basis`` of the result names it.
 """
 
 from collections.abc import Mapping
@@ -20,7 +20,7 @@ from spl_batch.airborne.arrays.checked import (
     settings_of,
     values_of,
 )
-from spl_batch.airborne.arrays.compiling import telling
+from spl_batch.airborne.arrays.compiling import with_notice
 from spl_batch.airborne.arrays.empty_space import EmptySpace, empty_space
 from spl_batch.airborne.arrays.labels import Basis, ExpectedNoise, Labels
 from spl_batch.airborne.arrays.time_domain import Assessed, assess
@@ -35,10 +35,10 @@ CONTRADICTED: Final = 1.4
 """Times the expected noise that empty space may hold: afterpulses of noise make it 1.15."""
 
 FEW: Final = 0.5
-"""Share of the points around which the density is measured below which a user is told."""
+"""Share of the points around which the density is measured below which a user is warned."""
 
 
-@telling
+@with_notice
 def filter_points(
     xyz: ArrayLike,
     noise_density: ArrayLike | None = None,
@@ -130,7 +130,7 @@ def filter_points(
     return replace(labels, warnings=(*coarse(xyz), *labels.warnings))
 
 
-@telling
+@with_notice
 def expected_noise(
     xyz: ArrayLike,
     *,
@@ -183,7 +183,7 @@ def _looked_at(
     settings: Workflow,
     water: ArrayLike | None = None,
 ) -> tuple[PointTable, Assessed | None]:
-    """Points in the caller's order with all that a canonical order needs, and what shots tell."""
+    """Points in the caller's order with all that a canonical order needs, and their shots."""
     known = {name: values for name, values in of_shots.items() if values is not None}
     timed = "gps_time" in known
     for name in ("channel", "flightline", "beam_origin"):
@@ -217,17 +217,17 @@ def _filtered(
     basis: Basis = "given"
     warnings = () if known is None else known.warnings
     if given is not None:
-        told = mean = given[order]
+        expected = mean = given[order]
     elif known is not None:
         noise = _expected(ordered, known, settings)
-        told, mean, basis = noise.local(ordered), noise.mean(ordered), known.basis
+        expected, mean, basis = noise.local(ordered), noise.mean(ordered), known.basis
         space = empty_space(*(ordered[axis] for axis in "xyz"))
-        warnings += _contradiction(space, told)
+        warnings += _contradiction(space, expected)
     else:
-        told, mean, basis, warnings = _of_cloud(ordered)
-    tested = mean if denoise.asks_for_means(settings.filter) else told
+        expected, mean, basis, warnings = _of_cloud(ordered)
+    tested = mean if denoise.asks_for_means(settings.filter) else expected
     columns = denoise.denoise(
-        ordered, told, everything, settings.filter, settings.afterpulse, tested=tested
+        ordered, expected, everything, settings.filter, settings.afterpulse, tested=tested
     )
     no_beam = int(np.count_nonzero(table.has(PointFlag.NO_BEAM)))
     if no_beam:
@@ -257,10 +257,10 @@ def _of_cloud(table: PointTable) -> ExpectedNoise:
 
 def _contradiction(found: EmptySpace, expected: NDArray[np.float64]) -> tuple[str, ...]:
     """What a caller should know where the cloud holds more noise than its beams let expect."""
-    told = found.density > 0
-    if not found.volume_m3 or found.share < FEW or not told.any():
+    held = found.density > 0
+    if not found.volume_m3 or found.share < FEW or not held.any():
         return ()
-    times = float(np.median(found.density[told] / np.maximum(expected[told], 1e-12)))
+    times = float(np.median(found.density[held] / np.maximum(expected[held], 1e-12)))
     if times < CONTRADICTED:
         return ()
     text = f"the cloud's empty space holds {min(times, 99.9):.1f} times the noise that beams let"
@@ -269,7 +269,7 @@ def _contradiction(found: EmptySpace, expected: NDArray[np.float64]) -> tuple[st
 
 
 def _doubts(found: EmptySpace, count: int) -> tuple[str, ...]:
-    """What a caller should know of a density that the cloud itself told."""
+    """What a caller should know of a density that the cloud itself shows."""
     if not count:
         return ()
     if not found.volume_m3:

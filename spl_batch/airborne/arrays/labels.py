@@ -1,4 +1,4 @@
-"""What the filter says of an array: labels, the noise that it expected, and where that is from."""
+"""Labels of an array, the noise that was expected, and where that is from."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ _BASES: Final[Mapping[Basis, str]] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Labels:
-    """What the filter says of n points, in the caller's order.
+    """Labels of n points, in the caller's order.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class Labels:
     afterpulse : (n,) float32
         Probability of being an afterpulse by its own shot [0..1]; 0 where beams are not known.
     range_sigma : (n,) float32
-        Ranging spread of its flightline, one sigma [m]; 0 where shots do not tell it.
+        Ranging spread of its flightline, one sigma [m]; 0 where shots do not show it.
     basis : str
         Where the expected noise is from: ``given`` by the caller; ``beams`` by the sensor's
         positions; ``intersection`` where lines of sight meet; ``vertical`` beams; ``cloud``, the
@@ -73,12 +73,12 @@ class Labels:
         kinds = {"signal": NOISE_SIGNAL, "background noise": NOISE_BACKGROUND}
         kinds["afterpulses"] = NOISE_AFTERPULSE
         counts = [int(np.count_nonzero(self.noise_class == value)) for value in kinds.values()]
-        said = [f"{grouped(n)} {name}" for n, name in zip(counts, kinds, strict=True)]
+        parts = [f"{grouped(n)} {name}" for n, name in zip(counts, kinds, strict=True)]
         if not self.range_sigma.any():  # no shots
-            said[-1] = "afterpulses not looked for without gps_time and channel"
-        said += [f"{grouped(left)} not assessed"] if (left := len(self) - sum(counts)) else []
-        said += [f"noise density {_BASES[self.basis]}"]
-        whole = f"Labels({counted(len(self), 'points')}: {', '.join(said)})"
+            parts[-1] = "afterpulses not looked for without gps_time and channel"
+        parts += [f"{grouped(left)} not assessed"] if (left := len(self) - sum(counts)) else []
+        parts += [f"noise density {_BASES[self.basis]}"]
+        whole = f"Labels({counted(len(self), 'points')}: {', '.join(parts)})"
         return "\n".join([whole, *(f"warning: {text}" for text in self.warnings)])
 
 

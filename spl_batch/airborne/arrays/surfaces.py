@@ -14,11 +14,11 @@ from spl_batch.airborne.arrays.checked import (
     settings_of,
     values_of,
 )
-from spl_batch.airborne.arrays.compiling import telling
+from spl_batch.airborne.arrays.compiling import with_notice
 from spl_batch.airborne.arrays.empty_space import empty_space
 from spl_batch.airborne.arrays.labels import Labels
 from spl_batch.airborne.ground.ground_methods import ground_mask
-from spl_batch.airborne.plan.grid import Grid, require_whole_cells
+from spl_batch.airborne.plan.grid import Grid
 from spl_batch.airborne.plan.task_memory import RASTER_BYTES
 from spl_batch.airborne.products import surface_points, surface_rasters
 from spl_batch.airborne.products.cell_values import shape_of
@@ -105,7 +105,7 @@ class Rasters:
         )
 
 
-@telling
+@with_notice
 def ground_points(
     xyz: ArrayLike,
     labels: Labels | ArrayLike | None = None,
@@ -121,7 +121,7 @@ def ground_points(
     xyz : (n, 3) array_like
         Easting, northing, height in a projected CRS [m].
     labels : Labels or (n,) array_like, optional
-        What :func:`.filter_points` says of them, or their noise class (0 signal), or a mask of the
+        Result of :func:`.filter_points`, or their noise class (0 signal), or a mask of the
         signal. Without it every point is signal, as in clouds that were filtered before.
     water : (n,) array_like of bool, optional
         Points over water, whose surface is level.
@@ -152,7 +152,7 @@ def ground_points(
     return found
 
 
-@telling
+@with_notice
 def rasterize(
     xyz: ArrayLike,
     labels: Labels | ArrayLike | None = None,
@@ -190,7 +190,6 @@ def rasterize(
         If a setting is unknown or wrong.
     """
     workflow = settings_of(settings, products={"cell_m": cell_m})
-    require_whole_cells(workflow)
     table = _labelled(xyz, labels, water)
     if not len(table):
         raise InputError("xyz", "no point, so there is nothing to make rasters of")

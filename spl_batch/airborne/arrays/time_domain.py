@@ -14,7 +14,7 @@ from spl_batch.airborne.arrays.labels import Basis
 from spl_batch.airborne.beams import geometry, sensor_path
 from spl_batch.airborne.beams.rays import look
 from spl_batch.airborne.beams.shot_runs import run_starts
-from spl_batch.airborne.filter.expected_noise import HeldVoxels, NoiseModel, noise_model
+from spl_batch.airborne.filter.expected_noise import NoiseModel, noise_model
 from spl_batch.airborne.noise import voxel_noise
 from spl_batch.airborne.plan.flightlines import FALLBACK_PRF_HZ
 from spl_batch.airborne.settings.workflow import Workflow
@@ -38,12 +38,11 @@ class Assessed(NamedTuple):
 
     def model(self, xyz: list[NDArray[np.int64]], settings: Workflow) -> NoiseModel | None:
         """Noise of the voxels around places [quanta]; None without any."""
-        shares = [[HeldVoxels(part) for part in line] for line in self.lines]
-        return noise_model(xyz, shares, self.beamlets, settings.noise)
+        return noise_model(xyz, self.lines, self.beamlets, settings.noise)
 
 
 def assess(table: PointTable, origin_m: NDArray[np.float64] | None, settings: Workflow) -> Assessed:
-    """What the shots of a cloud tell of its noise and its afterpulses.
+    """Noise and afterpulses of a cloud by its shots.
 
     Without channels (all the same) each shot is one beamlet. ``origin_m`` (n, 3) is the position of
     the sensor at each point's shot [m], NaN where it is not known; None finds its path where lines

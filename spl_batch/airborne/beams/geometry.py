@@ -1,4 +1,4 @@
-"""Beam geometry of each point, and what is estimated where the survey does not say it.
+"""Beam geometry of each point, and what is estimated where the survey does not state it.
 
 Domain: time.
 
@@ -49,7 +49,7 @@ LONGER: Final = 1.51
 """Ratio of steps between shots that are one period: rounding makes them 2 and 3 units long."""
 
 PRF_DIGITS: Final = 3
-"""Digits of an estimated pulse rate [count]: rounded times tell no more in short files."""
+"""Digits of an estimated pulse rate [count]: rounded times give no more in short files."""
 
 AHEAD_S: Final = 1.0
 """Time in which a scan looks ahead and astern many times over [s]."""

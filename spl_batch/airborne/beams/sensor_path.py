@@ -3,7 +3,7 @@
 Domain: time.
 
 Returns of one beamlet lie on one line; all lines of a shot, and of those around it, meet at the
-sensor. [W17] 6.2.2 and [W18] 2.2.2 take its position from the trajectory, and do not say what to do
+sensor. [W17] 6.2.2 and [W18] 2.2.2 take its position from the trajectory, and leave open what to do
 without one. Here
 
 | symbol | name |
@@ -41,7 +41,7 @@ PENCIL_SPREAD_MIN_M2: Final = 450.0
 beamlet counts by its spread, however little that is."""
 
 LINES_MIN: Final = 40
-"""Fewer lines than this in a flightline tell no sensor [count]."""
+"""Fewer lines than this in a flightline show no sensor [count]."""
 
 ERROR_MAX_RAD: Final = 5e-3
 """Beams whose halves of the evidence disagree by more are not believed [rad]."""
@@ -79,7 +79,7 @@ class Lines(NamedTuple):
 class Path(NamedTuple):
     """Where the sensor was."""
 
-    trajectory: Trajectory | None  #: None where the lines do not tell.
+    trajectory: Trajectory | None  #: None where the lines do not show it.
     lines: int  #: Lines of sight that took part [count].
     #: Half the angle between beams from two halves of the lines, 90th percentile [rad].
     error_rad: float | None

@@ -8,16 +8,14 @@ import numpy as np
 import shapely
 from pyproj import CRS
 
-from spl_batch.airborne.catalogue.delivered_files import (
-    INDEX,
+from spl_batch.airborne.catalogue import INDEX
+from spl_batch.airborne.catalogue.stac import (
     Cloud,
     Delivery,
-    RasterFile,
     leads_to_degrees,
     read_cloud,
-    read_raster_file,
+    write_stac,
 )
-from spl_batch.airborne.catalogue.stac import write_stac
 from spl_batch.airborne.settings import SurveySettings
 from spl_batch.errors import plain
 from spl_batch.formats.crs import compound, crs_name, in_unit, same_crs
@@ -46,7 +44,7 @@ class Layer(NamedTuple):
 
     name: str
     shapes: Sequence[shapely.Geometry]  #: Where they are.
-    columns: Mapping[str, Sequence[Any]]  #: What is said of them.
+    columns: Mapping[str, Sequence[Any]]  #: Their attributes.
 
 
 def write_catalogues(
@@ -82,27 +80,25 @@ def write_catalogues(
         read_cloud(output, crs=header_crs(read_header(output / one["href"]))[0], **one)
         for one in args["reprojected"]
     ]
-    rasters = [read_raster_file(output, href) for href in args["rasters"]]
     text = None if crs is None else crs.to_wkt()
     written = [write_layers(output / INDEX, list(_layers(args, clouds, outlines, units)), text)]
     held = [cloud for cloud in clouds if cloud.points]
-    reason = _why_without_places(crs, held, rasters)
+    reason = _why_without_places(crs, held, args["rasters"])
     if crs is not None and not reason:
         elsewhere = [cloud for cloud in moved if cloud.points]
-        delivery = Delivery(plain(survey.name), survey, crs, held, rasters, elsewhere)
-        written += write_stac(output, delivery)
+        name = plain(survey.name)
+        delivery = Delivery(output, name, survey, crs, held, args["rasters"], elsewhere)
+        written += write_stac(delivery)
     remark = f"{reason}: no STAC and no virtual point cloud are written"
     return written, [f"{remark}{REMEDY if crs is None else ''}"] if reason else []
 
 
-def _why_without_places(
-    crs: CRS | None, held: Sequence[Cloud], rasters: Sequence[RasterFile]
-) -> str:
+def _why_without_places(crs: CRS | None, held: Sequence[Cloud], rasters: Sequence[str]) -> str:
     """Why nothing can be listed by its place on earth; empty if it can."""
     if crs is None:
-        return "without a CRS nothing tells where on earth the survey lies"
+        return "without a CRS nothing shows where on earth the survey lies"
     if not leads_to_degrees(crs):
-        return f"the CRS {crs_name(crs)} does not tell where on earth the survey lies"
+        return f"the CRS {crs_name(crs)} does not show where on earth the survey lies"
     if not held and not rasters:
         return "no delivered cloud holds a point, and there is no raster"
     return ""

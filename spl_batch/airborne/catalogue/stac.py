@@ -10,27 +10,26 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
-from pyproj import CRS
+import laspy
+import numpy as np
+import shapely
+from pyproj import CRS, Transformer
+from pyproj.exceptions import ProjError
 
-from spl_batch.airborne.catalogue.delivered_files import (
-    STAC,
-    VIRTUAL,
-    Cloud,
-    Delivery,
-    RasterFile,
-    Span,
-    box_deg,
-    outline,
-    plain_name,
-)
+from spl_batch.airborne.catalogue import STAC, VIRTUAL
 from spl_batch.airborne.settings import SurveySettings
 from spl_batch.constants import ADJUSTED_STANDARD_OFFSET_S
 from spl_batch.errors import plain
+from spl_batch.formats.crs import horizontal, same_crs, vertical
 from spl_batch.formats.files.atomic import write_bytes
 from spl_batch.formats.gps_clock import leap_seconds
+from spl_batch.formats.rasters.parts import opened, place_m
+from spl_batch.formats.units import Units
 
 GPS_EPOCH: Final = dt.datetime(1980, 1, 6, tzinfo=dt.UTC)
 """Where GPS time begins."""
@@ -51,6 +50,123 @@ VIRTUAL_PROJECTION: Final = EXTENSION.format("projection/v1.1.0")
 Record = dict[str, Any]
 """Content of a JSON file."""
 
+Box = tuple[float, float, float, float]
+"""West, south, east, north, in a CRS and its units."""
+
+
+Span = tuple[float, float]
+"""First and last adjusted standard GPS time of some points [s]."""
+
+
+def plain_name(href: str) -> str:
+    """What catalogues call a delivered file, by its path below the output."""
+    for end in (".laz", ".copc", ".tif"):
+        href = href.removesuffix(end)
+    return href.replace("/", "-")
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """A delivered cloud."""
+
+    href: str  #: Its path below the output.
+    #: West, south, lowest, east, north, highest, in its CRS and that's units.
+    bounds: Sequence[float]
+    points: int
+    span_s: Span | None  #: None without times, or of a clock without a year.
+    #: Name, bytes and kind (``floating``, ``unsigned``, ``signed``) of each dimension.
+    dimensions: tuple[tuple[str, int, str], ...]
+    crs: CRS | None  #: Of its coordinates.
+
+    @property
+    def units(self) -> Units:
+        """Of its CRS."""
+        return Units.of(self.crs)
+
+    @property
+    def box(self) -> Box:
+        """Where it lies."""
+        west, south, _, east, north, _ = self.bounds
+        return west, south, east, north
+
+    @property
+    def per_m2(self) -> float:
+        """Points over the area of its box [1/m2]."""
+        west, south, east, north = self.box
+        area_m2 = (east - west) * (north - south) * self.units.horizontal_m**2
+        return self.points / area_m2 if area_m2 else 0.0
+
+
+def read_cloud(output: Path, href: str, span_s: Span | None, crs: CRS | None) -> Cloud:
+    """A delivered cloud in a CRS, from its header."""
+    with laspy.open(output / href) as reader:
+        header = reader.header
+        low, high = header.mins.tolist(), header.maxs.tolist()
+        dimensions = tuple(_dimension(one) for one in header.point_format.dimensions)
+        points = int(header.point_count)
+    bounds = (*low, *high) if points else (0.0,) * 6
+    return Cloud(href, bounds, points, span_s, dimensions, crs)
+
+
+def _dimension(one: Any) -> tuple[str, int, str]:
+    kinds = {"FloatingPoint": "floating", "SignedInteger": "signed"}
+    return one.name, max(one.num_bits // 8, 1), kinds.get(one.kind.name, "unsigned")
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """Everything that catalogues list."""
+
+    output: Path
+    name: str
+    survey: SurveySettings  #: Who delivers it, and by what terms.
+    crs: CRS
+    clouds: Sequence[Cloud]
+    rasters: Sequence[str]  #: Their paths below the output.
+    reprojected: Sequence[Cloud]  #: The same clouds in another CRS.
+
+    @property
+    def span_s(self) -> Span | None:
+        """When the whole was flown."""
+        ends = [end for cloud in self.clouds for end in cloud.span_s or ()]
+        return (min(ends), max(ends)) if ends else None
+
+    def crs_of(self, own: CRS | None) -> CRS:
+        """The CRS of all, but of what lies in another, or is above something else, its own."""
+        if own is None:
+            return self.crs
+        mine, ours = vertical(own), vertical(self.crs)
+        alike = mine is ours if mine is None or ours is None else mine.equals(ours)
+        return self.crs if alike and same_crs(own, self.crs) else own
+
+
+def box_deg(box: Box, crs: CRS) -> Box:
+    """A box of a CRS in longitudes and latitudes, of WGS 84 [deg]."""
+    west, south, east, north = _to_degrees(crs).transform_bounds(*box)
+    return west, south, east, north
+
+
+@lru_cache(maxsize=8)
+def _to_degrees(crs: CRS) -> Transformer:
+    return Transformer.from_crs(horizontal(crs), 4326, always_xy=True)
+
+
+def leads_to_degrees(crs: CRS) -> bool:
+    """Whether a CRS has a place on earth; that of a building site has none."""
+    try:
+        _to_degrees(crs)
+    except ProjError:
+        return False
+    return True
+
+
+def outline(box: Box, crs: CRS | None = None) -> dict[str, Any]:
+    """Corners of a box, as GeoJSON; in longitudes and latitudes where its CRS is given."""
+    ring = shapely.get_coordinates(shapely.box(*box, ccw=True))
+    if crs is not None:
+        ring = np.column_stack(_to_degrees(crs).transform(*ring.T))
+    return {"type": "Polygon", "coordinates": [ring.tolist()]}
+
 
 def _item_ids(hrefs: Sequence[str]) -> dict[str, str]:
     """A name for the item of each file, which is a file's name as well.
@@ -66,13 +182,13 @@ def _item_ids(hrefs: Sequence[str]) -> dict[str, str]:
     return names
 
 
-def write_stac(output: Path, delivery: Delivery) -> list[Path]:
+def write_stac(delivery: Delivery) -> list[Path]:
     """Write ``stac/collection.json``, ``stac/items.json``, the items and ``survey.vpc``."""
     clouds = [*delivery.clouds, *delivery.reprojected]
-    ids = _item_ids([one.href for one in clouds] + [one.href for one in delivery.rasters])
+    ids = _item_ids([*(one.href for one in clouds), *delivery.rasters])
     items = [_cloud_item(ids[one.href], one, delivery) for one in clouds]
-    items += [_raster_item(ids[one.href], one, delivery) for one in delivery.rasters]
-    folder = output / STAC
+    items += [_raster_item(ids[href], href, delivery) for href in delivery.rasters]
+    folder = delivery.output / STAC
     written = {folder / f"{item['id']}.json": _text(item) for item in items}
     features = ",\n".join(written.values())
     texts = {
@@ -82,7 +198,7 @@ def write_stac(output: Path, delivery: Delivery) -> list[Path]:
     }
     # One layer shows each point once: clouds in another CRS are left out.
     virtual = [_virtual(*one, delivery.crs) for one in zip(delivery.clouds, items, strict=False)]
-    texts[output / VIRTUAL] = _text({"type": "FeatureCollection", "features": virtual})
+    texts[delivery.output / VIRTUAL] = _text({"type": "FeatureCollection", "features": virtual})
     for path, text in texts.items():
         # Thousands of items, and a receipt that knows their sizes: a disk's time for each is saved.
         write_bytes(path, f"{text}\n".encode(), durable=False)
@@ -171,7 +287,8 @@ def _slug(name: str) -> str:
 def _cloud_item(name: str, cloud: Cloud, delivery: Delivery) -> Record:
     low, high = cloud.bounds[2], cloud.bounds[5]
     kind = COPC_TYPE if cloud.href.endswith(".copc.laz") else LAZ_TYPE
-    item = _item(name, cloud, delivery, cloud.span_s, {"type": kind})
+    made = cloud.href, cloud.box, cloud.crs
+    item = _item(name, made, delivery, cloud.span_s, {"type": kind})
     heights_m = [end * cloud.units.vertical_m for end in (low, high)]
     item["bbox"] = _with_heights(item["bbox"], heights_m)
     item["stac_extensions"].append(POINT_CLOUD)
@@ -190,44 +307,52 @@ def _cloud_item(name: str, cloud: Cloud, delivery: Delivery) -> Record:
     return item
 
 
-def _raster_item(name: str, raster: RasterFile, delivery: Delivery) -> Record:
-    unit = {"unit": raster.unit} if raster.unit else {}
-    asset = {"type": COG_TYPE, "title": raster.meaning, **unit}
-    item = _item(name, raster, delivery, delivery.span_s, asset)
-    west, _, _, north = raster.box
+def _raster_item(name: str, href: str, delivery: Delivery) -> Record:
+    with opened(delivery.output / href) as source:
+        bounds, shape, cell = source.bounds, source.shape, float(source.transform.a)
+        *_, cell_m = place_m(source)
+        meaning, unit = source.descriptions[0] or href, source.units[0] or ""
+        crs = CRS.from_wkt(source.crs.to_wkt()) if source.crs else None
+    asset = {"type": COG_TYPE, "title": meaning, **({"unit": unit} if unit else {})}
+    item = _item(name, (href, tuple(bounds), crs), delivery, delivery.span_s, asset)
     item["properties"] |= {
-        "title": raster.meaning,
-        "gsd": raster.cell_m,
-        "proj:shape": list(raster.shape),
-        "proj:transform": [raster.cell, 0.0, west, 0.0, -raster.cell, north],
+        "title": meaning,
+        "gsd": cell_m,
+        "proj:shape": list(shape),
+        "proj:transform": [cell, 0.0, bounds.left, 0.0, -cell, bounds.top],
     }
     return item
 
 
 def _item(
-    name: str, made: Cloud | RasterFile, delivery: Delivery, span_s: Span | None, asset: Record
+    name: str,
+    made: tuple[str, Box, CRS | None],
+    delivery: Delivery,
+    span_s: Span | None,
+    asset: Record,
 ) -> Record:
-    """What items of clouds and of rasters have in common."""
-    crs = delivery.crs_of(made)
+    """What items of clouds and of rasters have in common; ``made``: path, box and CRS of one."""
+    href, box, own = made
+    crs = delivery.crs_of(own)
     authority, (first, last) = crs.to_authority(), _moments(span_s)
     return {
         "type": "Feature",
         "stac_version": "1.1.0",
         "stac_extensions": [PROJECTION],
         "id": name,
-        "geometry": outline(made.box, crs),
-        "bbox": list(box_deg(made.box, crs)),
+        "geometry": outline(box, crs),
+        "bbox": list(box_deg(box, crs)),
         "properties": {
             "datetime": None,
             "start_datetime": first,
             "end_datetime": last,
             "proj:code": ":".join(authority) if authority else None,
             "proj:wkt2": crs.to_wkt("WKT2_2019"),
-            "proj:geometry": outline(made.box),
-            "proj:bbox": list(made.box),
+            "proj:geometry": outline(box),
+            "proj:bbox": list(box),
         },
         "links": [_link(rel) for rel in ("root", "parent", "collection")],
-        "assets": {"data": {"href": f"../{made.href}", **asset, "roles": ["data"]}},
+        "assets": {"data": {"href": f"../{href}", **asset, "roles": ["data"]}},
         "collection": _slug(delivery.name),
     }
 

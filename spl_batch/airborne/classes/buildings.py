@@ -120,7 +120,7 @@ def buildings(table: PointTable, usable: NDArray[np.bool_], floor: Floor) -> NDA
     """Which returns are of buildings: (n,) bool.
 
     ``table``: those that are judged and :data:`REACH_M` around them, with ``x, y, z, ground``, in
-    any order; ``usable``: signal, the others are no building and tell nothing; ``floor``: the
+    any order; ``usable``: signal, the others are no building and count for nothing; ``floor``: the
     ground of the whole region. Returns nearer to its edge than :data:`REACH_M` lack neighbours.
     """
     found = np.zeros(len(table), np.bool_)
@@ -192,7 +192,7 @@ def _of_cells(
 def _planar(
     xyz: NDArray[np.int32], cell: tuple[NDArray[np.int64], NDArray[np.int64]], planes: _Planes
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which returns have windows that can tell, and which lie near a roof's plane."""
+    """Which returns have windows that suffice, and which lie near a roof's plane."""
     able, planar = np.zeros((2, len(xyz)), np.bool_)
     rows, columns = planes.roof.shape
     for i in (-1, 0, 1):

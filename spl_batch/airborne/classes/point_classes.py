@@ -64,7 +64,7 @@ def classify(
     2 ground; 7 noise below the surface, 18 above it; 9 water: the input's, or in a water polygon
     within :data:`~spl_batch.airborne.ground.water.level.NEAR_M` of the DTM, which is the water's
     surface there, or where there is none; its bottom, as whatever else lies deeper or higher, is 1;
-    6 where the input says building; 14 where ``wire`` is given and 1, at least :data:`WIRE_ABOVE_M`
+    6 where the input has building; 14 where ``wire`` is given and 1, at least :data:`WIRE_ABOVE_M`
     above the surface; 1 the rest. Points that are withheld or outside the area of interest keep the
     input's class. Others that nothing assessed keep it too, but class 2 is only what this project
     found. Of what would be 1, or is vegetation by the input: 6 of a building that was found; 3, 4,

@@ -155,7 +155,7 @@ def _write(output: Path, reports: Mapping[str, Report]) -> ComparisonReport:
     runs = {name: Outcome(*recalled(output / folder_of(name))[:2]) for name in reports}
     found = contrast(list(runs.values()))
     first = next(iter(reports.values()))
-    # Ground methods share the filter, or have none: they say nothing of noise.
+    # Ground methods share the filter, or have none: they show nothing of noise.
     far_m3 = 0 if all(name in GROUND for name in reports) else found.far_m3
     results = tuple(_result(*named, found, k) for k, named in enumerate(reports.items()))
     report = ComparisonReport(

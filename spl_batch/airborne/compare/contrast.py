@@ -30,7 +30,7 @@ BIN_M: Final = 5.0
 """Height bin in which most returns are sought [m]."""
 
 STANDS_OUT: Final = 4.0
-"""A column's fullest bin holds this many times the mean of its bins, or tells nothing."""
+"""A column's fullest bin holds this many times the mean of its bins, or shows nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +101,7 @@ def _count(found: Contrast, kept: NDArray[np.bool_], known: NDArray[np.bool_]) -
 def _far(
     found: Contrast, table: PointTable, kept: NDArray[np.bool_], bounds: Bounds
 ) -> NDArray[np.bool_]:
-    """Count what is kept far from the scene; points that are, or whose column tells nothing.
+    """Count what is kept far from the scene; points that are, or whose column shows nothing.
 
     The scene is where most returns of a column lie, whatever a filter made of them: the
     terrain model of one that keeps noise below the ground is no place to measure from.

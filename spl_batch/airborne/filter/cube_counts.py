@@ -2,7 +2,7 @@
 
 A window of three slabs moves through the points along x. Each point adds one to the nine cells
 around its own when its slab comes in, and takes it away when it goes out; in between its own cell
-tells the count. The cost is a point's, however wide or high the cloud: along each axis a gap counts
+gives the count. The cost is a point's, however wide or high the cloud: along each axis a gap counts
 as one cell.
 """
 

@@ -2,9 +2,9 @@
 
 Domain: space. Our own. With several returns of noise in each cubic metre, noise that is kept by
 chance comes in clusters of dozens, most of all at the edges of a flightline, where the expected
-noise is known least. No number of returns in a box tells them from ground. But ground lies in most
-columns of a square, clusters in few: a cell is ground only if enough columns of its square hold a
-cell that is clearly richer in kept returns. Where none is, the terrain is void.
+noise is known least. No number of returns in a box distinguishes them from ground. But ground lies
+in most columns of a square, clusters in few: a cell is ground only if enough columns of its square
+hold a cell that is clearly richer in kept returns. Where none is, the terrain is void.
 
 Near a surface the filter keeps noise above and below it. If dense, it carries a terrain 1 to 2 m
 too low. There a return is ground only if more kept ones lie within :data:`NEAR_M` than noise

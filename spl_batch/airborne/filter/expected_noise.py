@@ -25,8 +25,8 @@ from spl_batch.airborne.noise.haze import (
 from spl_batch.airborne.noise.local_noise import MARGIN_VOXELS, SQUARES, around, listened
 from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.lattice.tables import EXCLUDED, ROWS_AT_ONCE, PointFlag, PointTable, VoxelPart
-from spl_batch.lattice.tiles import Bounds, cell_index, inside, quanta, shared_box
+from spl_batch.lattice.tables import EXCLUDED, ROWS_AT_ONCE, PointFlag, PointTable
+from spl_batch.lattice.tiles import Bounds, cell_index, inside, quanta
 
 COLUMNS_OF_AIR: Final = ("x", "y", "z", "flags", "afterpulse")
 """Columns by which the air is looked at."""
@@ -152,23 +152,6 @@ def _box(xyz: Sequence[NDArray[np.integer[Any]]], edge: int, layers: Sequence[ra
 
 def _batches(n: int) -> Iterator[slice]:
     return (slice(first, first + ROWS_AT_ONCE) for first in range(0, n, ROWS_AT_ONCE))
-
-
-class HeldVoxels(NamedTuple):
-    """The share of a stretch that is held in memory."""
-
-    part: VoxelPart
-
-    def layers(self) -> range:
-        """Absolute indices of its layers."""
-        return range(self.part.corner[2], self.part.corner[2] + self.part.amount.shape[2])
-
-    def add(self, corner: Sequence[int], totals: Mapping[str, NDArray[Any]]) -> None:
-        """Add it to a box of voxels, in place: first voxel, and the box's sums by name."""
-        for name, total in totals.items():
-            values = getattr(self.part, name)
-            of_part, of_box = shared_box(self.part.corner, values.shape, corner, total.shape)
-            total[of_box] += values[of_part].astype(total.dtype, copy=False)
 
 
 class Look(NamedTuple):

@@ -18,10 +18,10 @@ absolute grids, so that a label does not depend on what lies far away.
 - :func:`multilevel`: [W17 3.2.4, after Swatantran et al. 2016]. First the fullest height bin of
   30 m and the two beside it stay. Then a point stays if its voxel of 3 m and the 26 around it hold
   30 points; then the same with voxels of 1 m and a lower number. Each level counts what the one
-  before left, the point itself included. The source says neither over which area the fullest bin is
-  sought, nor the last level's number: both are settings. Of equally full bins the lowest counts.
+  before left, the point itself included. The source states neither over which area the fullest bin
+  is sought, nor the last level's number: both are settings. Of equally full bins the lowest counts.
 - :func:`voxel`: voxels of 3 m x 3 m x 0.3 m as full as their surroundings' mean [W17 5.4, after
-  Tang et al. 2016]. The source says that "the threshold for noise removal was the mean point
+  Tang et al. 2016]. The source states that "the threshold for noise removal was the mean point
   density" and not over which voxels. Here it is the mean count of the *occupied* voxels in the same
   square: over all of them it would be below one point and remove nothing.
 

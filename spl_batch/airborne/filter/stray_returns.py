@@ -14,7 +14,7 @@ refused ones. Our own rule asks twice:
 Where clusters of dense noise reach any such number, the ground has to fill the place too
 (:mod:`~spl_batch.airborne.filter.drowned_surfaces`).
 
-In clean clouds few returns make a surface. As the filter may be any, the cloud itself tells the
+In clean clouds few returns make a surface. As the filter may be any, the cloud itself gives the
 share of pure noise that is kept: by the boxes of which least was kept, which hold noise alone.
 """
 
@@ -47,7 +47,7 @@ KEPT_SHARE: Final = 2.0 * FilterSettings().alpha
 
 NOISE_QUANTILE: Final = 0.1
 NOISE_RETURNS: Final = 100
-"""Wide boxes with so many returns, most of them refused, tell the share of noise that is kept, by
+"""Wide boxes with so many returns, most of them refused, give the share of noise that is kept, by
 the tenth where least was kept. Without any nothing is known."""
 
 
@@ -221,10 +221,10 @@ def _kept_of_noise(kept: Count, gone: Count) -> float:
     ``kept, gone`` (n,): returns of the widest box around each cell that holds any [count].
     """
     held = kept + gone
-    told = (held >= NOISE_RETURNS) & (gone > kept)
-    if not told.any():
+    emptied = (held >= NOISE_RETURNS) & (gone > kept)
+    if not emptied.any():
         return KEPT_SHARE
-    share = float(np.quantile(kept[told] / held[told], NOISE_QUANTILE))
+    share = float(np.quantile(kept[emptied] / held[emptied], NOISE_QUANTILE))
     return max(KEPT_SHARE, 2.0 * share / (1.0 - share))
 
 

@@ -1,1 +1,1 @@
-"""From files to a first result: what they tell of a survey, without a workflow file."""
+"""From files to a first result: what they show of a survey, without a workflow file."""

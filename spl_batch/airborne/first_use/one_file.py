@@ -1,4 +1,4 @@
-"""One file, without a workflow: what it is not told it guesses, and says so.
+"""One file, without a workflow: what nobody states is guessed, and printed.
 
 The chain is that of a run, in a folder beside the result that is deleted in the end. It stays where
 something failed or stopped the run, and the same command continues there.
@@ -77,22 +77,22 @@ def denoise(
     source : Path or str
         LAS, LAZ or COPC with ``gps_time``.
     target : Path or str
-        LAZ to write: every point, in order. Noise has class 7 or 18; ``noise_class`` says which.
+        LAZ to write: every point, in order. Noise has class 7 or 18; ``noise_class`` has the kind.
     trajectory : Path or str, optional
         CSV, Parquet or SBET, or a pattern of several.
     sensor : str, optional
-        Preset of the instrument; ``spl100`` unless told.
+        Preset of the instrument; ``spl100`` by default.
     ground : bool
         Whether points of the ground get class 2, and the others the class that a run gives them;
         otherwise signal keeps the class that it has.
     workers : int
         Worker processes, at most: a small file has one; 0 works in this process.
     memory : str or int, optional
-        Memory limit of a worker [byte]; a share of the machine's unless told.
+        Memory limit of a worker [byte]; a share of the machine's by default.
     overrides : sequence of str
         ``key.path=value`` of a workflow, such as ``filter.alpha=0.01``.
     listener : callable
-        Told what is guessed, and what happens.
+        Gets what is guessed, and what happens.
 
     Returns
     -------
@@ -146,8 +146,8 @@ def denoise(
     store = Store(found.output)
     delivered = [r for r in read_receipts(store, "deliver_file") if not r.failed]
     if not delivered:
-        told = ("attention", f"nothing was delivered, as told above; {folder} has the log")
-        return RunResult(found.exit_status, folder, None, (told,))
+        note = ("attention", f"nothing was delivered, as reported above; {folder} has the log")
+        return RunResult(found.exit_status, folder, None, (note,))
     moves = dict(_moves(found.output, delivered[0], cloud, raster))
     write_json(folder / _MOVED, {str(real_path(to)): stamp(path) for path, to in moves.items()})
     rows = (*_counts(delivered[0], ground=ground),)
@@ -258,7 +258,7 @@ def _proposal(
     if not look.timed and not kept:
         raise InputError(
             str(path),
-            "its first and last points have no usable gps_time, so there are no shots to tell "
+            "its first and last points have no usable gps_time, so there are no shots to find "
             "noise by; give the file its times, or use spl_batch.filter_points of Python, which "
             "measures noise where the cloud is empty; of linear-mode lidar, which has none, "
             f"`--ground --set {KEEP_ALL}` keeps every point and finds the ground",

@@ -22,14 +22,14 @@ from scipy.ndimage import binary_dilation, maximum_filter
 
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.engine.findings import Finding
-from spl_batch.formats.breaklines import CentreLine, Water
+from spl_batch.formats.breaklines import Water
 from spl_batch.lattice.tiles import Bounds
 
 ABOVE_M: Final = 0.25
 """Water that stands higher than the terrain beside it by more than this floods its bank [m]."""
 
 FLOODED_SHARE: Final = 0.05
-"""Share of its bank that water may flood without a word, 0..1."""
+"""Share of its bank that water may flood without a warning, 0..1."""
 
 Raster = NDArray[np.float32]
 
@@ -88,14 +88,9 @@ def _levels(water: Water, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDA
     found = np.empty(len(x))
     for k, line in enumerate(water.lines):
         mine = nearest == k
-        found[mine] = _along(line, points[mine])
+        at = shapely.line_locate_point(line.line, points[mine])
+        found[mine] = np.interp(at, line.along, line.z)
     return found
-
-
-def _along(line: CentreLine, points: NDArray[np.object_]) -> NDArray[np.float64]:
-    at = shapely.line_locate_point(line.line, points)
-    height: NDArray[np.float64] = np.interp(at, line.along, line.z)
-    return height
 
 
 def flatten(rasters: dict[str, Raster], water: Raster) -> Banks:

@@ -23,8 +23,8 @@ from spl_batch.airborne.lines.patches import (
     find_patches,
     region,
 )
-from spl_batch.airborne.store.cells import Cell
 from spl_batch.airborne.store.flown_lines import LINES, SHIFTS, Pass, Shifts, read_shifts
+from spl_batch.airborne.store.label_tables import Cell
 from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.number_format import as_ascii, height
@@ -85,7 +85,13 @@ def strip_pairs(args: Mapping[str, Any], context: Context) -> Produced:
     write_arrays(path, _map(patches))
     overlaps = {tuple(sorted(names[k] for k in two)) for two in found.overlaps.tolist()}
     lacking = sorted(overlaps - {(one.first, one.second) for one in pairs})
-    return Produced([path], {"pairs": [asdict(pair) for pair in pairs], "not_compared": lacking})
+    facts = {
+        "name": "",  # what is found concerns the survey
+        "pairs": [asdict(pair) for pair in pairs],
+        "not_compared": lacking,
+        "findings": [*offset_warnings(pairs, "vertical" if args["aligned"] else "none")],
+    }
+    return Produced([path], facts)
 
 
 class _Cells(NamedTuple):

@@ -1,11 +1,11 @@
 """One row for each pair of flightlines that overlap: how far the second lies from the first.
 
 A flightline that is shifted by ``(east, north, up)`` meets a plane of slope ``(p, q)`` higher by
-``up - p east - q north``: flat patches tell the vertical part, slopes the horizontal one. It is
+``up - p east - q north``: flat patches give the vertical part, slopes the horizontal one. It is
 found by least squares over the patches, weighted by their variance, with Huber's weights and then
 Tukey's biweight. The noise of slopes would make a horizontal shift seem less than it is, so their
 covariance is taken from the normal equations (W. A. Fuller, 1987, *Measurement Error Models*,
-section 2.2). A horizontal part that is not determined is not told.
+section 2.2). A horizontal part that is not determined is not reported.
 """
 
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ from spl_batch.airborne.store.flown_lines import LINES
 from spl_batch.engine.report.parts import STRICT, Count, Measured, Number
 
 FEWEST: Final = 10
-"""Patches of a pair that tell something, at least [count]."""
+"""Patches of a pair that show a difference, at least [count]."""
 
 OWN_M: Final = 0.01
 """What a patch differs for reasons of its own beside noise [m]."""
@@ -35,18 +35,18 @@ HUBER: Final = 1.345
 """Huber's constant [standard deviations]."""
 
 ROUNDS: Final = 10
-"""Rounds of weights of each kind [count], Huber's first: these leave steep patches a say before a
-shift is known. They stand still after five or so."""
+"""Rounds of weights of each kind [count], Huber's first, which steep patches need before a shift is
+known. They stand still after five or so."""
 
 NEIGHBOURS_M: Final = 100.0
 """Patches in one square of this edge may differ for the same reason, as a turn of the aircraft or a
 slope of the terrain, and count as one witness [m]."""
 
 DETERMINED_M: Final = 0.1
-"""Standard deviation of a horizontal difference, above which it is not told [m]."""
+"""Standard deviation of a horizontal difference, above which it is not reported [m]."""
 
 FEW_M: Final = 0.2
-"""Horizontal difference that is told however few squares there are: on some few, aligned
+"""Horizontal difference that is reported however few squares there are: on some few, aligned
 flightlines have been seen to differ by half as much, sure as each square was [m]."""
 
 TWICE: Final = 2.0
@@ -94,12 +94,12 @@ class StripPair:
 
     @property
     def horizontal_m(self) -> float:
-        """Length of the horizontal difference [m]; 0 where none is told."""
+        """Length of the horizontal difference [m]; 0 where none is reported."""
         return float(np.hypot(self.east_m or 0.0, self.north_m or 0.0))
 
     @property
     def is_off_horizontally(self) -> bool:
-        """The same for the horizontal difference; few squares tell no small one."""
+        """The same for the horizontal difference; few squares show no small one."""
         if self.horizontal_sd_m is None:
             return False
         # Standard deviations that hold what three of a normal distribution hold.
@@ -152,7 +152,7 @@ def _difference(first: str, second: str, patches: Patches) -> StripPair:
 def fit_shift(patches: Patches) -> dict[str, float]:
     """Shift of the second flightline against the first, from at least one patch of both.
 
-    Fields of a :class:`StripPair`, of which the horizontal ones are left out if nothing tells them.
+    Fields of a :class:`StripPair`, of which the horizontal ones are left out if nothing shows them.
     """
     rise, own = patches["rise"], patches["variance"] + OWN_M**2
     design = np.stack([-patches["east"], -patches["north"], np.ones(len(rise))], axis=1)

@@ -6,7 +6,7 @@ two flightlines lie apart, ground is chosen from the lower one.
 
 Planes are fitted by least squares, with slopes that both flightlines share and a height of each.
 Strips are compared as in H.-G. Maas (2002, *Methods for measuring height and planimetry
-discrepancies in airborne laserscanner data*, PE&RS 68(9), 933-940): heights, where slopes tell the
+discrepancies in airborne laserscanner data*, PE&RS 68(9), 933-940): heights, where slopes show the
 horizontal part. He takes points of a triangulation; whole patches have a known noise.
 """
 
@@ -48,7 +48,7 @@ SPREAD: Final = 0.15
 0.29 where they lie evenly."""
 
 MOST: Final = 256
-"""Patches of a pair that a ground cell keeps [count]: more tell no more of it."""
+"""Patches of a pair that a ground cell keeps [count]: more make it no better known."""
 
 Patches = dict[str, NDArray[Any]]
 """Columns of patches, see :func:`find_patches`."""

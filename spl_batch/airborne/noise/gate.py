@@ -1,7 +1,7 @@
 """Range gate along the beams of a flightline.
 
 Source: [W17] 5.2.1 ("data from all the beamlets are truncated with the same range gate") does not
-say how to find it. Here its ends are the extreme returns of absolute windows of intervals, moved
+cover how to find it. Here its ends are the extreme returns of absolute windows of intervals, moved
 out by one mean spacing of the noise: the expected shortfall of a uniform sample. An end that one or
 two returns alone claim, many spacings beyond all others, is none. A gate may be
 constant in slant range, follow the surface, or be cut at a height: the shortest one that explains
@@ -55,7 +55,7 @@ class Gate(NamedTuple):
     near: NDArray[np.float64]
     far: NDArray[np.float64]
     length_m: float
-    warnings: tuple[Finding, ...]  #: What the report has to say.
+    warnings: tuple[Finding, ...]  #: Findings for the report.
     #: Source of its length: ``stated``, ``estimated`` from the returns, or ``assumed``.
     basis: Basis
 

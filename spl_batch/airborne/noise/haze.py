@@ -17,8 +17,8 @@ x :data:`WINDOW` cubes of :data:`CUBE_M`, one layer high, hold air if they are
 
 Edges of clouds taper, and tilted ones do in every square. There three layers need not hold the same
 if :data:`CLEAR` clear layers lie below, as below no crowns, and if the columns hold as many pairs
-as a plane through the cubes tells, within :data:`ALIKE`: with n returns in each of the 25 cubes of
-a square at u, v = -2..2, S = sum n, and c as above in its cubes of 25 columns each,
+as a plane through the cubes predicts, within :data:`ALIKE`: with n returns in each of the 25 cubes
+of a square at u, v = -2..2, S = sum n, and c as above in its cubes of 25 columns each,
 
   .. math:: 1250 \sum c (c - 1) / (2 S^2 - 6 S + (\sum u n)^2 + (\sum v n)^2)
 
@@ -216,16 +216,16 @@ def _even(counts: Counts) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
 
 
 def _alike(counts: Counts) -> NDArray[np.bool_]:
-    """Squares, three layers high, whose columns hold what a plane through their cubes tells."""
+    """Squares, three layers high, whose columns hold what a plane through their cubes predicts."""
     slope = np.arange(WINDOW) - WINDOW // 2
     held = counts.held.astype(np.int64)
     total, east, north = (
         sum_of_square(held, *weights) for weights in ((EACH, EACH), (slope, EACH), (EACH, slope))
     )
     # Of 5 x 5 cubes of 5 x 5 columns.
-    told = sum_of_square(2 * total**2 - 6 * total + east**2 + north**2, ONE, ONE, THREE)
+    planar = sum_of_square(2 * total**2 - 6 * total + east**2 + north**2, ONE, ONE, THREE)
     pairs = 1250 * sum_of_square(counts.columns, EACH, EACH, THREE)
-    return pairs <= ALIKE * told
+    return pairs <= ALIKE * planar
 
 
 def _hung(counts: Counts, asked: NDArray[np.bool_], expected: Expected) -> NDArray[np.bool_]:

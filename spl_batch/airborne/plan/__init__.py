@@ -1,1 +1,1 @@
-"""Plan of an airborne survey: stretches, tiles, blocks, ground cells, tasks, cost."""
+"""Plan of an airborne survey: stretches, tiles, cells, ground cells, tasks, cost."""

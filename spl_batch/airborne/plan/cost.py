@@ -14,7 +14,7 @@ from spl_batch.airborne.plan.grid import denoise_grid
 from spl_batch.airborne.plan.inputs.survey_inputs import Source
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import STRETCH_POINTS, halo_m, needs
-from spl_batch.airborne.products.product_table import ABOVE_GEOID, PRODUCTS, products
+from spl_batch.airborne.products.product_table import ABOVE_GEOID, PRODUCTS
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.tasks.index import parts_of
 from spl_batch.airborne.tasks.reference import REFERENCE_POINT_BYTES
@@ -95,14 +95,15 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     heaviest = max(held, key=lambda need: need.memory_bytes)
     usual = {stage: pace.points_per_s for stage, pace in PACES.items()}
     rates, measured = measured_rates(usual, context)
-    compared = sum(facts.n_points for facts in survey.inputs.reference.usable)
+    references = survey.inputs.reference
+    compared = sum(facts.n_points for facts in references.usable)
     work = dict.fromkeys(rates, float(points)) | {"report": float(compared)}
     # What a store has measured has margins, the time of its tasks and its octrees in it.
     typical = {stage for stage, rate in rates.items() if rate == usual[stage]}
     if "denoise" in typical:
         work["denoise"] = denoised.work
-    delivered = len(sources) + (tiles if workflow.outputs.tiles != "none" else 0)
-    delivered += len(survey.inputs.areas)
+    delivered = len(sources) * (1 + workflow.outputs.copc) + len(survey.inputs.areas)
+    delivered += tiles if workflow.outputs.tiles != "none" else 0
     flown, found = len(survey.inputs.trajectory), survey.filtering and not survey.inputs.trajectory
     # every file is indexed by parts, and most likely is a flightline; each stretch is
     # observed and scattered; without a trajectory flightlines have a path, which lines of sight of
@@ -116,8 +117,9 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
         "denoise": denoised.cells,
         "ground": cells,
         "surfaces": cells,
-        "deliver": delivered + _rasters_and_comparisons(survey, cells),
-        "report": sum(map(len, survey.inputs.reference)) + reference_tasks.squares(survey),
+        # flightlines are compared by ground cell; the few tasks beside are not counted
+        "deliver": delivered + len(PRODUCTS) + cells * (len(sources) > 1),
+        "report": len(references.usable + references.bad) + reference_tasks.squares(survey),
     }
     alone = {stage: PACES[stage].task_s * tasks[stage] * (stage in typical) for stage in rates}
     if "deliver" in typical:
@@ -176,18 +178,3 @@ def _raster_bytes(survey: Survey, area_m2: float) -> int:
     values = cells * (2 * len(PRODUCTS) + above_geoid) + again * delivered
     values += cut * delivered * (outputs.client_tiles is not None)
     return math.ceil(values) * np.dtype(np.float32).itemsize
-
-
-def _rasters_and_comparisons(survey: Survey, cells: int) -> int:
-    """Mosaics, comparisons of flightlines, checkpoints, twins and catalogue [count]."""
-    workflow, sources = survey.workflow, survey.inputs.sources
-    outputs = workflow.outputs
-    rasters = len(products(reflectance=False))
-    rasters += len(ABOVE_GEOID) * (outputs.geoid is not None)
-    rasters += outputs.contour_interval is not None
-    # flightlines are told by the index; until it is there, each file counts as one
-    spans = [receipt.facts["spans"] for receipt in survey.of("index_file").values()]
-    lines = len({psid for span in spans for psid in span}) or len(sources)
-    strips = cells + len(survey.of("strip_pairs")) if lines > 1 else 0
-    checked = survey.inputs.checkpoints is not None
-    return rasters + strips + checked + outputs.catalogue + outputs.copc * len(sources)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import shapely
 
-from spl_batch.airborne.catalogue.delivered_files import REPROJECTED
+from spl_batch.airborne.catalogue import REPROJECTED
 from spl_batch.airborne.context import reprojection, tiles_follow
 from spl_batch.airborne.plan.flightlines import swath_totals
 from spl_batch.airborne.plan.inputs.file_positions import FAR_M

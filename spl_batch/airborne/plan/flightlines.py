@@ -17,11 +17,11 @@ from spl_batch.engine.tasks.task import Receipt
 from spl_batch.lattice.tables import ShotClock
 
 FALLBACK_PRF_HZ = 50_000.0
-"""Pulse rate where neither the workflow nor the data tell one [Hz]."""
+"""Pulse rate where neither the workflow states one nor the data show it [Hz]."""
 
 
 STEPS = 8
-"""Steps of a span of time in which parts of it are told apart [count]."""
+"""Steps of a span of time in which parts of it are known [count]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,14 +71,10 @@ def is_timeless(receipt: Receipt, workflow: Workflow) -> bool:
         return False
     if not facts["spans"]:
         return True
-    a_shot = points_of_a_shot(workflow)
+    # What more points share than a shot may have is no time.
+    a_shot = workflow.sensor.beamlets * 8 if workflow.survey.channel_dimension else 64
     spans = [span for spans in facts["spans"].values() for span in spans]
     return all(first == last and points > a_shot for first, last, points in spans)
-
-
-def points_of_a_shot(workflow: Workflow) -> int:
-    """Points that one shot may have: more than these of one time have none to speak of [count]."""
-    return workflow.sensor.beamlets * 8 if workflow.survey.channel_dimension else 64
 
 
 def find_flightlines(receipts: Mapping[str, Receipt], workflow: Workflow) -> list[Flightline]:
@@ -121,10 +117,12 @@ def _flightline(
     stretch = interval * 2 ** max(math.floor(math.log2(max(wanted, 1.0))), 0)
     rates = [(a, b, receipts[key].facts["fullest"][str(psid)]) for a, b, _, key in lift]
     start, end = clock.shot(np.array([first, last])).tolist()
-    while stretch > interval and start // (stretch // 2) == end // (stretch // 2):
-        stretch //= 2  # one that holds all of it is the same, however much memory there is
     most = UNEVEN * STRETCH_POINTS
-    while stretch > interval and points > most and fullest_span(rates, stretch / prf) > most:
+    # One that holds all of it is the same, however much memory there is.
+    while stretch > interval and (
+        start // (stretch // 2) == end // (stretch // 2)
+        or (points > most and fullest_span(rates, stretch / prf) > most)
+    ):
         stretch //= 2
     return Flightline(
         f"{psid:05d}_{math.floor(first)}",

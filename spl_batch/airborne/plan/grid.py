@@ -20,10 +20,8 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.plan.task_memory import halo_m, task_bytes
 from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.plan.worker_memory import usable_bytes
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.errors import WorkflowError
 from spl_batch.lattice.density import Piece
 from spl_batch.lattice.tiles import (
     Bounds,
@@ -90,7 +88,7 @@ class Grid(NamedTuple):
 
     @classmethod
     def of_workflow(cls, boxes: Iterable[Sequence[int]], workflow: Workflow) -> Self:
-        """Cells of a survey, as its workflow says; see :meth:`of_boxes`."""
+        """Cells of a survey, by its workflow; see :meth:`of_boxes`."""
         return cls.of_boxes(boxes, quanta(workflow.ground.cell_m), strip_q(workflow))
 
     def keeper(self, square: CellId) -> CellId:
@@ -130,7 +128,7 @@ def _unit(
 ) -> Unit:
     """A cell that owns a core, with what it reads; parameters as of :meth:`Grid.units`."""
     reach = grow(core, margin)
-    near = _occupied(counts, reach, tile_q)
+    near = [tile for tile in cells_touching(reach, tile_q) if tile in counts]
     owned = held = 0.0
     for tile in near:
         bounds = cell_bounds(tile, tile_q)
@@ -138,16 +136,6 @@ def _unit(
         owned += counts[tile] if overlap(bounds, core) else 0
     # shares of tiles add up to whole points, but for the last bit of a sum
     return Unit(cell, core, tuple(near), int(owned), math.ceil(round(held, 6)))
-
-
-def _occupied(counts: Mapping[CellId, int], region: Bounds, tile_q: int) -> list[CellId]:
-    """Tiles with points that share area with a region, row by row."""
-    columns = -(-region.xmax // tile_q) - region.xmin // tile_q
-    rows = -(-region.ymax // tile_q) - region.ymin // tile_q
-    if columns * rows <= len(counts):
-        return [t for t in cells_touching(region, tile_q) if t in counts]
-    found = (t for t in counts if overlap(cell_bounds(t, tile_q), region))
-    return sorted(found, key=lambda t: (t.j, t.i))
 
 
 def _axis(first: int, past: int, edge: int, strip: int) -> tuple[int, int, int, int]:
@@ -239,26 +227,3 @@ def tile_counts(tiles: Mapping[str, Receipt]) -> dict[CellId, int]:
     """Points of each tile that holds some, from the receipts of the built tiles."""
     counts = {parse_cell(name): int(r.facts["points"]) for name, r in tiles.items()}
     return {tile: n for tile, n in sorted(counts.items()) if n}
-
-
-def require_whole_cells(workflow: Workflow) -> None:
-    """Refuse edges that are no whole millimetres, and raster cells that fill no ground cell."""
-    edges = {
-        "tiling.tile_m": workflow.tiling.tile_m,
-        "ground.cell_m": workflow.ground.cell_m,
-        "products.cell_m": workflow.products.cell_m,
-        "noise.voxel_m": workflow.noise.voxel_m,
-    }
-    faults = [
-        f"{key}: {edge:g} is not a whole number of millimetres"
-        + "; outputs.cell gives rasters of whole feet" * (key == "products.cell_m")
-        for key, edge in edges.items()
-        if quanta(edge) < 1 or abs(edge * QUANTA_PER_M - quanta(edge)) > 1e-6
-    ]
-    if not faults and quanta(workflow.ground.cell_m) % quanta(workflow.products.cell_m):
-        faults.append(
-            f"ground.cell_m ({workflow.ground.cell_m:g}) must be a whole multiple of "
-            f"products.cell_m ({workflow.products.cell_m:g})"
-        )
-    if faults:
-        raise WorkflowError("; ".join(faults))

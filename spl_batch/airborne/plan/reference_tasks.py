@@ -5,19 +5,20 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Final
 
-import numpy as np
+import shapely
 
 from spl_batch.airborne.accuracy.differences import OPEN_M
 from spl_batch.airborne.plan.space_tasks import points_of
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import STRETCH_POINTS, UNEVEN, points_within, refusal
+from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.plan.input_files import source_key
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.task import Task
-from spl_batch.lattice.tiles import CellId, cell_bounds, overlap, parse_cell, quanta
+from spl_batch.lattice.tiles import cell_bounds, overlap, parse_cell, quanta
 
 MARGIN_CELLS: Final = 2
-"""Raster cells whose tops tell whether their neighbour is a roof's edge [count]."""
+"""Raster cells whose tops show whether their neighbour is a roof's edge [count]."""
 
 COMPARED: Final = ("dtm", "dsm", "chm")
 """Rasters that are looked at; nothing is compared without the first two."""
@@ -57,7 +58,8 @@ def accuracy(survey: Survey) -> Iterator[Task]:
     rasters = [name for name in COMPARED if name in made]
     edge, _ = _lattice(survey)
     for square in sorted(files):
-        tiles = _tiles_of(survey, square, edge)
+        within = cell_bounds(parse_cell(square), edge)
+        tiles = [t for t in survey.counts if overlap(cell_bounds(t, survey.tile_q), within)]
         args = {
             "square": square,
             "edge": edge,
@@ -72,13 +74,6 @@ def accuracy(survey: Survey) -> Iterator[Task]:
         )
         refused = refusal("accuracy", points[square], survey.memory_bytes)
         yield Task("accuracy", square, args, needs, points[square], refused)
-
-
-def _tiles_of(survey: Survey, square: str, edge: int) -> list[CellId]:
-    """Tiles of the survey that reach into a square."""
-    within = cell_bounds(parse_cell(square), edge)
-    tiles = survey.counts
-    return [t for t in sorted(tiles) if overlap(cell_bounds(t, survey.tile_q), within)]
 
 
 def checkpoints(survey: Survey) -> Iterator[Task]:
@@ -97,12 +92,8 @@ def checkpoints(survey: Survey) -> Iterator[Task]:
 def squares(survey: Survey) -> int:
     """Squares that the headers of reference files reach, by which they are compared [count]."""
     edge, _ = _lattice(survey)
-    boxes = [facts for facts in survey.inputs.reference.usable if facts.n_points]
-    low, high = (
-        np.array([[quanta(v) // edge for v in corner[:2]] for corner in corners]).reshape(-1, 2)
-        for corners in ([f.mins_m for f in boxes], [f.maxs_m for f in boxes])
-    )
-    return int((high - low + 1).prod(axis=1).sum())
+    ends = shapely.bounds(survey.inputs.reference.boxes) * QUANTA_PER_M // edge
+    return int((ends[:, 2:] - ends[:, :2] + 1).prod(axis=1).sum())
 
 
 def _lattice(survey: Survey) -> tuple[int, int]:
@@ -113,7 +104,7 @@ def _lattice(survey: Survey) -> tuple[int, int]:
     cell = quanta(survey.workflow.products.cell_m)
     # what stands beside a point stands above ground that is beside it
     margin = max(quanta(2 * OPEN_M), MARGIN_CELLS * cell)
-    boxes = [facts for facts in survey.inputs.reference.usable if facts.n_points]
+    boxes = survey.inputs.reference.holding
     area_m2 = sum(facts.area_m2 for facts in boxes)
     points = sum(facts.n_points for facts in boxes)
     held = min(STRETCH_POINTS, points_within("accuracy", survey.memory_bytes) // UNEVEN)

@@ -49,14 +49,16 @@ def denoise(survey: Survey) -> Iterator[Task]:
     voxels: dict[str, Sequence[int]] = {}
     for stretch, receipt in survey.of("scatter").items():
         boxes = receipt.facts.get("voxels", {})
-        voxels |= {name: (x0, y0, x1, y1) for name, (x0, y0, _, x1, y1, _) in boxes.items()}
+        voxels |= boxes
         stretch_of |= dict.fromkeys(boxes, stretch)
-    index = index_of_boxes(voxels, voxel_q)
+    flat = {name: (*box[:2], *box[3:5]) for name, box in voxels.items()}
+    index = index_of_boxes(flat, voxel_q)
     # what a density depends on, whatever the halo of the points
     margin = survey.halo_q + MARGIN_VOXELS * voxel_q
     for cell in survey.denoise_grid.units(survey.counts, survey.tile_q, survey.halo_q):
         parts = index.overlapping(grow(cell.core, margin))
-        args = {"halo": survey.halo_q, "voxels": parts, "beamlets": survey.beamlets}
+        shares = [(part, voxels[part][2], voxels[part][5]) for part in parts]
+        args = {"halo": survey.halo_q, "voxels": shares, "beamlets": survey.beamlets}
         needs = [("scatter", s) for s in dict.fromkeys(map(stretch_of.__getitem__, parts))]
         yield _cell_task("denoise", cell, survey, args, (), needs)
 
@@ -151,43 +153,28 @@ def is_one_flightline(survey: Survey) -> bool:
     return len(survey.flown) < 2 and not any(is_timeless(r, survey.workflow) for r in indexed)
 
 
-def recorded_patches(survey: Survey) -> Iterator[Task]:
-    """Ground cells whose flightlines are to be aligned, before the ground is looked for."""
-    if survey.workflow.survey.align != "none":
-        yield from _patches("recorded_patches", survey)
+def strip_patches(survey: Survey) -> Iterator[Task]:
+    """Ground cells, where there can be more than one flightline, with heights as recorded."""
+    if is_one_flightline(survey):
+        return
+    for cell in survey.ground_cells(quanta(SQUARE_M)):
+        yield replace(_cell_task("strip_patches", cell, survey, {}, ("denoise",)), points=0)
 
 
 def align(survey: Survey) -> Iterator[Task]:
-    """One task that finds the shifts of all flightlines."""
-    if len(survey.of("recorded_patches")):
-        yield _together("align", "recorded_patches", survey)
-
-
-def strip_patches(survey: Survey) -> Iterator[Task]:
-    """Ground cells whose flightlines stay as they are."""
-    if survey.workflow.survey.align == "none":
-        yield from _patches("strip_patches", survey)
+    """One task that finds the shifts of all flightlines, where they are to be aligned."""
+    if survey.workflow.survey.align != "none":
+        yield from _together("align", survey)
 
 
 def strip_pairs(survey: Survey) -> Iterator[Task]:
     """One task that puts all cells together, with the shifts where there are any."""
-    first = aligned(survey)
-    task = _together("strip_pairs", "recorded_patches" if first else "strip_patches", survey)
-    if task.args["cells"]:
-        yield replace(task, needs=(*task.needs, *first))
+    for task in _together("strip_pairs", survey):
+        yield replace(task, needs=(*task.needs, *aligned(survey)))
 
 
-def _patches(kind: str, survey: Survey) -> Iterator[Task]:
-    """Ground cells, where there can be more than one flightline."""
-    if is_one_flightline(survey):
-        return
-    for cell in survey.ground_cells(quanta(SQUARE_M)):
-        task = _cell_task(kind, cell, survey, {}, ("denoise",))
-        yield replace(task, points=0)
-
-
-def _together(kind: str, of: str, survey: Survey) -> Task:
-    """One task on what was found in all cells, and flightlines with times."""
-    cells = sorted(survey.of(of))
-    args = {"lines": [[*line.as_pass] for line in survey.flown], "cells": cells}
-    return Task(kind, "all", args, tuple((of, name) for name in cells))
+def _together(kind: str, survey: Survey) -> Iterator[Task]:
+    """One task on what was found in all cells, if anything was, and flightlines with times."""
+    if cells := sorted(survey.of("strip_patches")):
+        args = {"lines": [[*line.as_pass] for line in survey.flown], "cells": cells}
+        yield Task(kind, "all", args, tuple(("strip_patches", name) for name in cells))

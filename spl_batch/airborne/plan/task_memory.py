@@ -88,7 +88,7 @@ def name_of(kind: str) -> str:
 def refusal(kind: str, points: float, limit: int, needed: int | None = None) -> str:
     """Why a task cannot be started, and what helps; empty if it can.
 
-    ``limit``: memory of a worker; ``needed``: of the task, where its points alone do not tell
+    ``limit``: memory of a worker; ``needed``: of the task, where it does not follow from its points
     [byte].
     """
     needed = task_bytes(kind, points) if needed is None else needed

@@ -8,8 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from spl_batch.airborne.filter.published import OF_SHOTS
 from spl_batch.airborne.plan.flightlines import Flightline
 from spl_batch.airborne.plan.inputs.survey_inputs import source_args
@@ -21,7 +19,7 @@ from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.task import Need, Task
 
 FEW_POINTS: Final = 0.001
-"""Share of points at either end of all times that may be wrong ones."""
+"""Share of all points up to which the times of a flightline may be wrong ones."""
 
 
 def trajectory_file(survey: Survey) -> Iterator[Task]:
@@ -87,17 +85,15 @@ def trajectory(survey: Survey) -> Iterator[Task]:
 
 
 def _time_of_most(lines: Sequence[Flightline]) -> list[float]:
-    """First and last time of flightlines, but for the few points at either end of all [s].
+    """First and last time of all flightlines but those of next to no points [s].
 
-    One in a thousand at most: a few wrong times are no time of the survey's, and would leave open
-    in which week a trajectory was flown.
+    A few wrong times are no time of the survey's, and would leave open in which week a trajectory
+    was flown.
     """
-    ordered = sorted(lines, key=lambda line: line.first_s)
-    points = np.array([line.points for line in ordered])
-    upto = np.cumsum(points)
-    enough = np.minimum(upto, upto[-1] - upto + points) > FEW_POINTS * upto[-1]
-    most = [ordered[k] for k in np.flatnonzero(enough).tolist()]
-    return [most[0].first_s, max(line.last_s for line in most)]
+    points = [line.points for line in lines]
+    few = min(FEW_POINTS * sum(points), max(points) / 2)  # of thousands none has that share
+    most = [line for line in lines if line.points > few]
+    return [min(line.first_s for line in most), max(line.last_s for line in most)]
 
 
 def sights(survey: Survey) -> Iterator[Task]:
@@ -156,7 +152,7 @@ def _of_lines(kind: str, of: str, survey: Survey) -> Iterator[Task]:
 def scatter(survey: Survey) -> Iterator[Task]:
     """Stretches that are shared among tiles."""
     filtering = survey.workflow.filter
-    # Only filters of single shots read what shots say: the others share the points as they are.
+    # Only filters of single shots read what shots hold: the others share the points as they are.
     method = filtering.method
     of_shots = {method: getattr(filtering, method).model_dump()} if method in OF_SHOTS else None
     for line in survey.flightlines:
@@ -177,7 +173,7 @@ def scatter(survey: Survey) -> Iterator[Task]:
 
 def _ranges(survey: Survey) -> Iterator[Task]:
     """Parts of the files, where nothing filters, to be shared among tiles."""
-    # Their id and time tell which flightline they are of.
+    # Their flightline follows from id and time.
     again = [[*line.as_pass] for line in survey.flown if line.number != line.psid]
     for source in survey.inputs.sources:
         key, points = str(source.key), source.facts.n_points

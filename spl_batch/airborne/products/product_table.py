@@ -29,7 +29,7 @@ PRODUCTS: Final = (
 """Every raster, in the order in which they are written."""
 
 REFLECTANCE: Final = Product("intensity", "reflectance from detections, 1 is all light", "1")
-"""What ``intensity`` holds where detections tell how much light came back."""
+"""What ``intensity`` holds where detections show how much light came back."""
 
 HEIGHTS: Final = ("dtm", "dsm")
 """Rasters of heights above the datum, which change with it; other lengths are differences."""

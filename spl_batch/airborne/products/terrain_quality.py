@@ -1,7 +1,7 @@
 """Standard deviation of the terrain: how well each cell of the DTM is known.
 
 A DTM is interpolated between cells that hold ground returns. Its error in other cells follows from
-two things that the ground itself tells: how far the nearest ground is, and how much heights here
+two things that the ground itself shows: how far the nearest ground is, and how much heights here
 differ from what is interpolated over such a distance. The second is measured where the ground is
 known: each cell with ground is compared with the plane through the ground in a square ring around
 it, whose inner radius is the distance in question. That is cross-validation with a hole of growing
@@ -18,7 +18,7 @@ averages out, so that neighbouring cells agree; what grows differs from cell to 
 variance of returns about the ground of their cell counts as it is, undivided by their number, but
 for no more than the variance by which cells differ beyond what noise alone explains.
 
-It cannot show what no point tells: shrubs or a terrace of fill that were taken for ground.
+It cannot show what no point shows: shrubs or a terrace of fill that were taken for ground.
 """
 
 import math
@@ -107,7 +107,7 @@ def terrain_sigma(means: Grid, cell_m: float, scatter: Scatter | None = None) ->
     Returns
     -------
     (rows, columns) float64
-        Standard deviation [m]; NaN where no ring holds enough ground to tell.
+        Standard deviation [m]; NaN where no ring holds enough ground.
     """
     held, radii = ~np.isnan(means[:, :, 2]), rings(cell_m)
     if not held.any():
@@ -127,7 +127,7 @@ def terrain_sigma(means: Grid, cell_m: float, scatter: Scatter | None = None) ->
 def _layer_variance(scatter: Scatter, integrals: Grid, differ: Grid, cell_m: float) -> Grid:
     """Variance of ground within the layer of its returns; ``differ``: of means among cells [m2].
 
-    The ground as far as the second ring begins tells the slope that returns scatter about.
+    The ground as far as the second ring begins gives the slope that returns scatter about.
     """
     shape = scatter.returns.shape
     radii = rings(cell_m)

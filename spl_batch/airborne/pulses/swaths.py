@@ -5,7 +5,7 @@ squares of twice the nominal spacing hold a first return; data voids, areas of (
 without one. All swaths count together: voids may be filled by another one. Deviations: a void is a
 whole empty square of four spacings, not any shape of its area; only places that were flown count.
 
-Squares of 5 m that each flightline covers tell its density, its outline, where flightlines overlap.
+Squares of 5 m that each flightline covers give its density, its outline, where flightlines overlap.
 Source: USGS Lidar Base Specification 2025 rev. A, Collection Requirements. Nominal Pulse Spacing:
 density is assessed "against single swath, first return data located within the geometrically usable
 center portion (typically ~95%) of each swath". Spatial Distribution and Regularity: first returns
@@ -168,7 +168,7 @@ class Swaths:
     def overlapping(self, x: NDArray[np.int64], y: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Which places of the region lie where two flightlines or more do: (m,) bool.
 
-        The flag "overlap" of a point says so [LAS 1.4 R15, 2.6]; which of the swaths is surplus is
+        The flag "overlap" of a point marks it [LAS 1.4 R15, 2.6]; which of the swaths is surplus is
         left to whoever thins them.
         """
         several = np.count_nonzero(self._count, axis=0) > 1

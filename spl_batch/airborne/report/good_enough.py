@@ -1,4 +1,4 @@
-"""What receipts tell together of coverage, flightlines, checkpoints, and what is required."""
+"""What receipts show together of coverage, flightlines, checkpoints, and what is required."""
 
 import math
 from collections import Counter
@@ -85,7 +85,7 @@ def judged(done: Receipts, context: Context) -> tuple[Requirement, ...]:
 
 
 def checkpoint_report(done: Receipts, context: Context) -> Checkpoints | None:
-    """What the checkpoints say; None where there are none."""
+    """Results at the checkpoints; None where there are none."""
     found = checkpoint_results(done.get("checkpoints", {}))
     nva, vva = _tested(done)
     if nva is None or vva is None:

@@ -1,4 +1,4 @@
-"""What a report says: one frozen model, from which ``schemas/report.schema.json`` is made.
+"""Content of a report: one frozen model, from which ``schemas/report.schema.json`` is made.
 
 Nothing here draws or formats; ``report.json`` is this model, as it stands. A statistic of nothing
 is null, never NaN, so that any JSON reader takes the file.
@@ -42,7 +42,7 @@ class Flightline(Part):
     prf_basis: Basis = Field(
         "none",
         description="Where the pulse repetition frequency comes from: given in the workflow, the "
-        "sensor preset's, estimated from gps_time, or assumed as nothing tells it.",
+        "sensor preset's, estimated from gps_time, or assumed as nothing shows it.",
     )
     gate_m: Number = Field(
         None,
@@ -52,7 +52,7 @@ class Flightline(Part):
     gate_basis: Basis = Field(
         "none",
         description="Where the length of the range gate comes from: given in the workflow, the "
-        "sensor preset's, estimated from the returns, or assumed as nothing tells it.",
+        "sensor preset's, estimated from the returns, or assumed as nothing shows it.",
     )
     beam_basis: Literal["trajectory", "intersection", "scan_angle", "vertical", "none"] = Field(
         "none",
@@ -70,7 +70,7 @@ class Flightline(Part):
 class DeliveredUnits(Part):
     """Units that page and screen show: of clouds and rasters, or those that outputs.units names.
 
-    The numbers of this report are in metres, as their names say.
+    The numbers of this report are in metres, as their names have it.
     """
 
     horizontal: str = Field("metre", description="Of eastings and northings, by PROJ's name.")
@@ -196,7 +196,7 @@ class NoiseFit(Part):
     p_value_times: Number = Field(
         None,
         description="How many of these have a p-value up to p_value, over what uniform ones would "
-        "have: 1 if noise is what its model says; null where they need not be so, or are few.",
+        "have: 1 if noise is as its model has it; null where they need not be so, or are few.",
     )
     p_value: Number = Field(
         None,
@@ -205,7 +205,7 @@ class NoiseFit(Part):
 
 
 class Noise(Part):
-    """What was expected of the background noise, and how it was told apart."""
+    """What was expected of the background noise, and how it was distinguished."""
 
     method: str = Field("none", description="Noise filter.")
     test: str | None = Field(None, description="Decision rule of the filter.")

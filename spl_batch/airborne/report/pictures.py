@@ -1,7 +1,7 @@
 """The pictures of a report: from plain arrays to PNG with title and caption.
 
 Each array is optional. A picture that cannot be drawn stays in the set, without an image
-and with the sentence that says why, so that a reader never wonders whether something
+and with the sentence that names the reason, so that a reader never wonders whether something
 was forgotten.
 """
 

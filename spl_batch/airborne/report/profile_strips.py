@@ -24,7 +24,7 @@ _TALLEST_M = 30.0
 """Heights count up to this: one mast is no reason [m]."""
 
 _GROUND_SHARE = 0.2
-"""Part of the covered cells that are the ground or lie on it, at which a strip shows enough of it."""
+"""Part of the covered cells that are the ground or lie on it, at which a strip shows enough."""
 
 
 def read_strip(
@@ -55,8 +55,8 @@ def tallest_strip(height: RasterPart) -> Bounds:
     """Covered strip with the largest sum of heights above ground; the first of equals.
 
     Heights count in full where the strip also shows :data:`_GROUND_SHARE` of ground: under a closed
-    canopy there is hardly any, and a profile of leaves alone shows no terrain. A cell with a surface counts for a
-    metre besides: a picture shows no empty strip.
+    canopy there is hardly any, and a profile of leaves alone shows nothing of the terrain. A cell
+    with a surface counts for a metre besides: a picture shows no empty place.
     """
     known = height.values > NODATA
     capped = np.where(known, np.clip(height.values.astype(np.float64), 0.0, _TALLEST_M), 0.0)

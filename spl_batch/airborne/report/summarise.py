@@ -1,7 +1,7 @@
-"""Stage ``report``: what all receipts say together, as one report with its pictures."""
+"""Stage ``report``: what all receipts hold together, as one report with its pictures."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
@@ -89,7 +89,6 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
             (
                 *_unfiltered(counts, context),
                 *facts.findings,
-                *_uncovered(done),
                 *noise_findings(done),
                 *air_findings(done, context.workflow.filter),
                 *terrain_findings(done),
@@ -273,20 +272,6 @@ def _unfiltered(counts: Counts, context: Context) -> list[Finding]:
     if not mostly_unfiltered(counts, context.workflow.filter.method):
         return []
     return [Finding("N06", {"share": counts.no_beam / counts.points_in})]
-
-
-def _uncovered(done: Receipts) -> Iterator[Finding]:
-    """Flightlines that the trajectory does not cover."""
-    spans: dict[str, tuple[int, float, float]] = {}
-    for name, receipt in done.get("observe", {}).items():
-        if receipt.facts["uncovered"]:
-            first, last = receipt.facts["uncovered_span_s"]
-            line = name.split("/", maxsplit=1)[0]
-            n, low, high = spans.get(line, (0, first, last))
-            spans[line] = (n + receipt.facts["uncovered"], min(low, first), max(high, last))
-    for line, (n, low, high) in spans.items():
-        values = {"kind": "uncovered", "count": n, "first_s": low, "last_s": high}
-        yield Finding("T02", values, line, badness=n)
 
 
 def _provenance(done: Receipts, context: Context, reference: Iterable[str]) -> Provenance:

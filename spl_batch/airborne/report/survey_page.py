@@ -42,7 +42,7 @@ LAYERS: Final = (
 """Maps that a reader switches between."""
 
 OF_PHOTONS: Final = ("noise", "survey")
-"""Sections that linear-mode lidar has nothing to say in."""
+"""Sections that linear-mode lidar leaves empty."""
 
 _SMALL_KM2: Final = 0.01
 """A smaller area is given in square metres."""
@@ -61,7 +61,7 @@ HOW: Final[Mapping[str, str]] = MappingProxyType(
         ),
         "dcc": (
             "Each shot is then judged by itself: its fullest long range bin and the two beside it "
-            "are taken for signal, what lies in the others tells its background, and of the short "
+            "are taken for signal, what lies in the others gives its background, and of the short "
             "bins those are signal that hold more returns than that background explains."
         ),
         "pixels": (
@@ -93,7 +93,7 @@ def render(report: Report, pictures: Mapping[str, Picture]) -> str:
     The same input gives the same text; any of ``pictures`` may be missing.
     """
     photons = photon_counting(report)
-    # Without beamlet numbers nothing in the points says that the instrument is the one named.
+    # Without beamlet numbers nothing in the points shows that the instrument is the one named.
     numbered = parameter(report, "survey.channel_dimension") is not None
     return render_page(
         "survey_page.html.j2",
@@ -133,7 +133,7 @@ def _sections(report: Report, *, photons: bool) -> Iterator[tuple[str, str]]:
 
 
 def _layer_keys(report: Report, *, photons: bool) -> Iterator[str]:
-    """Keys of the maps that this report has something to say of."""
+    """Keys of the maps that this report has anything for."""
     for key in LAYERS:
         if key == "noise_density" and not photons:
             continue

@@ -24,7 +24,7 @@ _NO_REFERENCE: Final = "no reference was given"
 
 
 def verdicts(report: Report) -> list[Verdict]:
-    """Sentences that say whether the result can be used, bad news before the others.
+    """Sentences on whether the result can be used, bad news before the others.
 
     Always three: accuracy, conservation of points, failures.
     """
@@ -60,7 +60,7 @@ def photon_counting(report: Report) -> bool:
     """Whether noise or afterpulses were looked for, as single-photon lidar needs it.
 
     Without either, points went straight to ground and surfaces: linear-mode lidar, of which a
-    report has nothing to say about shots, beamlets and detectors.
+    report has nothing about shots, beamlets and detectors.
     """
     return report.noise.method != "none" or parameter(report, "afterpulse.enabled") is not False
 
@@ -79,11 +79,11 @@ def terrain_accuracy(report: Report) -> str | None:
     if terrain is None or report.accuracy is None:
         return None
     name, statistics = terrain
-    said = f"RMSE {report.survey.units.height(statistics.rmse)} on {surface_name(name)}"
+    rmse = f"RMSE {report.survey.units.height(statistics.rmse)} on {surface_name(name)}"
     overall = report.accuracy.dtm.get("all")
     if name == "all" or overall is None or overall.rmse is None:
-        return said
-    return f"{said} ({report.survey.units.height(overall.rmse)} on all surfaces)"
+        return rmse
+    return f"{rmse} ({report.survey.units.height(overall.rmse)} on all surfaces)"
 
 
 def mostly_unfiltered(counts: Counts, method: str) -> str:
@@ -92,7 +92,7 @@ def mostly_unfiltered(counts: Counts, method: str) -> str:
         return ""
     return (
         f"{percent(counts.no_beam / counts.points_in)} of the points have no usable time or no "
-        "trajectory there and stay unfiltered, noise among them: the warnings say which, and why; "
+        "trajectory there and stay unfiltered, noise among them: the warnings name which, and why; "
         "mend the times or the trajectory and run again"
     )
 
@@ -208,10 +208,10 @@ def _conservation_verdict(report: Report) -> Verdict:
 
 
 def _all_delivered(report: Report) -> Verdict:
-    """What there is to say where as many points come out as were read."""
+    """Sentences where as many points come out as were read."""
     counts, points = report.counts, number(report.counts.points_in)
     if counts.not_assessed == counts.points_in and report.noise.method != "none":
-        text = f"{points} points are delivered, and none was assessed: the warnings say why."
+        text = f"{points} points are delivered, and none was assessed: the warnings name why."
         return Verdict("bad", text)
     if unfiltered := mostly_unfiltered(counts, report.noise.method):
         return Verdict("bad", f"Every point is delivered, {points} in and out, but {unfiltered}.")

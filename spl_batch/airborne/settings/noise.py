@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from spl_batch.engine.settings.base import Positive, Section, Share
+from spl_batch.engine.settings.base import Edge, Positive, Section, Share
 
 
 class NoiseSettings(Section):
@@ -18,7 +18,7 @@ class NoiseSettings(Section):
         5.0, description="Height window whose fullest place marks the signal [m]."
     )
     buffer_m: Positive = Field(50.0, description="Half-height around the signal left out [m].")
-    voxel_m: Positive = Field(10.0, description="Edge of a noise voxel [m].")
+    voxel_m: Edge = Field(10.0, description="Edge of a noise voxel [m].")
     correction: Literal["seen", "published"] = Field(
         "seen", description="Silent beamlets: by seen fraction, or the published gamma."
     )

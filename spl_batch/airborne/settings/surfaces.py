@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from spl_batch.engine.settings.base import Length, Positive, Section, Share
+from spl_batch.engine.settings.base import Edge, Length, Positive, Section, Share
 
 
 class PtdSettings(Section):
@@ -52,7 +52,7 @@ class GroundSettings(Section):
         description="Ground filter: by scales that follow the data, with nothing to set; or as "
         "published, progressive TIN densification or the simple morphological filter.",
     )
-    cell_m: Positive = Field(200.0, description="Edge of a ground cell [m].")
+    cell_m: Edge = Field(200.0, description="Edge of a ground cell [m].")
     buffer_m: Positive = Field(60.0, description="Points around a cell that take part [m].")
     ptd: PtdSettings = PtdSettings()
     smrf: SmrfSettings = SmrfSettings()
@@ -61,7 +61,7 @@ class GroundSettings(Section):
 class ProductSettings(Section):
     """Rasters."""
 
-    cell_m: Positive = Field(1.0, description="Edge of a raster cell [m].")
+    cell_m: Edge = Field(1.0, description="Edge of a raster cell [m].")
     void_max_m: Length = Field(
         20.0, description="Farthest ground point that a DTM cell may use [m], or as 60 ft."
     )

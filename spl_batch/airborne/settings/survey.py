@@ -6,7 +6,7 @@ from typing import Final, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from spl_batch.airborne.sensors.sensor import Sensor
-from spl_batch.engine.settings.base import Positive, Section, StoreSettings
+from spl_batch.engine.settings.base import Edge, Positive, Section, StoreSettings
 
 PRF_HZ: Final = (1e3, 1e6)
 """Pulse rates of airborne lidars lie well within; a slip of kHz or MHz does not [Hz]."""
@@ -112,7 +112,7 @@ class ReferenceSettings(Section):
 class TilingSettings(Section):
     """How space is cut for storage and work; results never depend on it."""
 
-    tile_m: Positive = Field(100.0, description="Edge of a storage tile [m].")
+    tile_m: Edge = Field(100.0, description="Edge of a storage tile [m].")
     block_tiles: int | None = Field(
         None, ge=1, description="Tiles along one side of a work block; by default as memory allows."
     )

@@ -30,6 +30,7 @@ from spl_batch.airborne.settings import (
 from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.settings.workflow_file import parse_any, workflow_content
 from spl_batch.errors import WorkflowError
+from spl_batch.lattice.tiles import quanta
 from spl_batch.receivers import IMAGING
 
 
@@ -90,6 +91,11 @@ class Workflow(BaseWorkflow):
                     f"sensor's dead time, {dead_m:.3f} m: no afterpulse would be found; "
                     f"write more, or afterpulse.enabled: false"
                 )
+        if quanta(self.ground.cell_m) % quanta(self.products.cell_m):
+            yield (
+                f"ground.cell_m ({self.ground.cell_m:g}) must be a whole multiple of "
+                f"products.cell_m ({self.products.cell_m:g})"
+            )
         wires, given = self.filter.wires, WireSettings()
         # The default gives way to a smaller filter.alpha.
         if self._scans_lines and self.filter.alpha < wires.alpha != given.alpha:

@@ -1,7 +1,7 @@
-"""Labels that a work unit gives to points of several tiles: Parquet, row groups by tile.
+"""Points of tiles with the labels that work units give them: Parquet, row groups by tile.
 
 A label names its point by tile and row in the tile's file, so units that are cut
-otherwise than the tiles (ground cells, blocks) need no join to find their points.
+otherwise than the tiles (ground cells) need no join to find their points.
 """
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -12,14 +12,15 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.store.flown_lines import Shifts
+from spl_batch.airborne.context import Context
+from spl_batch.airborne.store.flown_lines import Shifts, read_shifts
 from spl_batch.engine.report.run_record import Receipts
 from spl_batch.engine.store.working_store import Store
 from spl_batch.engine.tasks.task import Need
 from spl_batch.formats.verified.parquet_npz import GroupIndex, groups_between, writing
 from spl_batch.lattice.row_order import in_order, lexicographic_order
 from spl_batch.lattice.tables import COLUMNS, PointTable, rows_of
-from spl_batch.lattice.tiles import Bounds, CellId, overlap
+from spl_batch.lattice.tiles import Bounds, CellId, inside, overlap, parse_cell
 
 
 class Label(NamedTuple):
@@ -48,6 +49,10 @@ Unit = Need
 
 SHIFTED: Final[Need] = ("align", "all")
 """Task that finds by how much heights are shifted."""
+
+
+Keep = Callable[[PointTable], NDArray[np.bool_]]
+"""Which points are wanted, each by itself."""
 
 
 class Origin(NamedTuple):
@@ -157,7 +162,7 @@ def read_region(
     labels: Mapping[str, Sequence[Unit]],
     *,
     ordered: bool = True,
-    keep: Callable[[PointTable], NDArray[np.bool_]] | None = None,
+    keep: Keep | None = None,
     shifts: Shifts | None = None,
     files: Files | None = None,
 ) -> tuple[PointTable, Origin]:
@@ -274,3 +279,51 @@ def units_within(region: Bounds, names: Iterable[str], done: Receipts) -> dict[s
         ]
         for name, step in steps.items()
     }
+
+
+class Cell(NamedTuple):
+    """A square of the absolute grid that a task owns, and its points."""
+
+    args: Mapping[str, Any]
+    context: Context
+    core: Bounds
+    shifts: Shifts | None  #: Shifts of its flightlines.
+    held: tuple[PointTable, Origin] | None = None  #: Points at hand, and where they lie.
+
+    @classmethod
+    def of(cls, args: Mapping[str, Any], context: Context) -> "Cell":
+        """The cell of a task."""
+        return cls(args, context, Bounds(*args["core"]), read_shifts(args, context.store))
+
+    def holding(self, region: Bounds, columns: Sequence[str]) -> "Cell":
+        """The cell with some columns of a region at hand: nothing else is read from files."""
+        return self._replace(held=self.read(region, tuple(dict.fromkeys(columns))))
+
+    def read(
+        self,
+        region: Bounds,
+        columns: Sequence[str],
+        keep: Keep | None = None,
+        *,
+        ordered: bool = False,
+    ) -> tuple[PointTable, Origin]:
+        """Points of a region [quanta], and where they lie; tile by tile unless ``ordered``."""
+        if self.held is not None:
+            return _chosen(*self.held, region, columns, keep)
+        labels = units_of(self.args, [k for k in columns if k in LABELS])
+        return read_region(
+            self.context.store, list(map(parse_cell, self.args["tiles"])), region,
+            [k for k in columns if k not in labels], labels, ordered=ordered, keep=keep,
+            shifts=self.shifts,
+        )  # fmt: skip
+
+
+def _chosen(
+    table: PointTable, origin: Origin, region: Bounds, columns: Sequence[str], keep: Keep | None
+) -> tuple[PointTable, Origin]:
+    """What is asked for of points at hand; a view where it is all of them."""
+    some = table.select(columns)
+    wanted = inside(table["x"], table["y"], region)
+    if keep is not None:
+        wanted &= keep(some)
+    return (some, origin) if wanted.all() else (some.take(wanted), origin.of(wanted))

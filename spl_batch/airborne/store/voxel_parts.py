@@ -1,85 +1,75 @@
-"""Shares of the expected noise: what each stretch adds to the voxels, as Zarr groups."""
+"""Shares of the expected noise: what each stretch adds to the voxels, a zipped Zarr group for each.
 
-import json
+A damaged byte of it is noticed, as :mod:`~spl_batch.formats.verified.parquet_npz` has it.
+"""
+
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
+import zarr
 from numpy.typing import NDArray
+from zarr.buffer.cpu import Buffer
+from zarr.storage import MemoryStore
 
 from spl_batch.engine.store.working_store import Store
-from spl_batch.formats.files.atomic import replacing
-from spl_batch.formats.verified.zarr_chunks import METADATA, Metadata, pack, read_box, read_metadata
+from spl_batch.formats.verified.parquet_npz import read_files, write_files
 from spl_batch.lattice.tables import VoxelPart
-from spl_batch.lattice.tiles import shared_box
 
-VOXEL_CHUNK: Final = 32
-"""Voxels along one horizontal side of a Zarr chunk [count]."""
+SUMS: Final = ("amount", "shots", "beamlets", "squares")
+"""Arrays of a share; see :class:`.VoxelPart`."""
+
+
+def voxel_file(store: Store, part: str) -> Path:
+    """Where a share is kept, by the name of its stretch ``LINE/K``."""
+    return store.path("voxels", f"{part}.zarr.zip")
 
 
 def write_voxels(path: Path, part: VoxelPart) -> None:
-    """Write a stretch's share of the noise model as a Zarr group, atomically."""
-    shape = part.amount.shape
+    """Write a stretch's share of the noise model, atomically."""
+    files: dict[str, Any] = {}
     attributes = {"corner": list(part.corner)}
-    group = {"zarr_format": 3, "node_type": "group", "attributes": attributes}
-    with replacing(path, durable=False) as temporary:
-        temporary.mkdir()
-        (temporary / METADATA).write_text(json.dumps(group))
-        for name in ("amount", "shots", "beamlets", "squares"):
-            values: NDArray[Any] | None = getattr(part, name)
-            if values is None:
-                continue
-            chunks = (min(VOXEL_CHUNK, shape[0]), min(VOXEL_CHUNK, shape[1]), *values.shape[2:])
-            files = pack(values, chunks=chunks, attributes=attributes)
-            for file, content in files.items():
-                target = temporary / name / file
-                target.parent.mkdir(parents=True, exist_ok=True)
-                target.write_bytes(content)
+    group = zarr.create_group(MemoryStore(files), zarr_format=3, attributes=attributes)
+    for name in SUMS:
+        values: NDArray[Any] | None = getattr(part, name)
+        if values is not None:
+            chunks = tuple(max(edge, 1) for edge in values.shape)
+            group.create_array(name, data=values, chunks=chunks)
+    write_files(path, {name: file.to_bytes() for name, file in files.items()})
 
 
-class StoredVoxels:
-    """A stretch's share of the expected noise, as :func:`write_voxels` has written it.
+def read_voxels(path: Path) -> VoxelPart:
+    """A share from :func:`write_voxels`; raises DamagedError if it is missing or damaged."""
+    files: dict[str, Any] = {k: Buffer.from_bytes(v) for k, v in read_files(path).items()}
+    group = zarr.open_group(MemoryStore(files), mode="r")
+    corner: Any = group.attrs["corner"]
+    sums: dict[str, Any] = {name: array[...] for name, array in group.arrays()}
+    return VoxelPart((corner[0], corner[1], corner[2]), **sums)
 
-    Everything that looks into it raises DamagedError if it is missing or damaged.
-    """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._known: dict[str, Metadata] = {}
+class StoredVoxels(NamedTuple):
+    """A share of the store, which is read once it is added up."""
+
+    path: Path
+    first: int  #: Its first layer, and the one past the last.
+    stop: int
 
     def layers(self) -> range:
         """Absolute indices of its layers."""
-        metadata = self._metadata("amount")
-        first = int(metadata["attributes"]["corner"][2])
-        return range(first, first + metadata["shape"][2])
+        return range(self.first, self.stop)
 
     def add(self, corner: Sequence[int], totals: Mapping[str, NDArray[Any]]) -> None:
-        """Add it to a box of voxels, in place, where they overlap.
-
-        ``corner``: absolute index of the box's first voxel; ``totals``: the box by the name of the
-        sum, ``amount``, ``shots``, ``beamlets``, ``squares``.
-        """
-        for name, total in totals.items():
-            metadata = self._metadata(name)
-            shape, inner = metadata["shape"][:3], metadata["shape"][3:]
-            first = [int(c) for c in metadata["attributes"]["corner"]]
-            of_part, of_box = shared_box(first, shape, corner, total.shape)
-            if any(side.stop <= side.start for side in of_part):
-                return
-            whole = (*of_part, *(slice(0, n) for n in inner))
-            values = read_box(self.path / name, metadata, whole)
-            total[of_box] += values.astype(total.dtype, copy=False)
-
-    def _metadata(self, name: str) -> Metadata:
-        if name not in self._known:
-            self._known[name] = read_metadata(self.path / name)
-        return self._known[name]
+        """Add it to a box of voxels, in place; see :meth:`.VoxelPart.add`."""
+        read_voxels(self.path).add(corner, totals)
 
 
-def stored_by_line(store: Store, parts: Iterable[str]) -> list[list[StoredVoxels]]:
-    """Shares of stretches by ``LINE/K``, a list for each flightline in the order of names."""
+def stored_by_line(store: Store, parts: Iterable[tuple[str, int, int]]) -> list[list[StoredVoxels]]:
+    """Shares of stretches, a list for each flightline in the order of names.
+
+    ``parts``: name ``LINE/K``, first layer and the one past the last, of each.
+    """
     lines: dict[str, list[StoredVoxels]] = {}
-    for part in sorted(parts):
-        stored = StoredVoxels(store.path("voxels", f"{part}.zarr"))
+    for part, first, stop in sorted(parts):
+        stored = StoredVoxels(voxel_file(store, part), first, stop)
         lines.setdefault(part.rpartition("/")[0], []).append(stored)
     return list(lines.values())

@@ -49,7 +49,7 @@ EVERY: Final = 8
 """Of the kept returns one in so many is compared, by its coordinates [count]."""
 
 _MAP: Final = ("cell", "total", "count")
-"""What a square says of the map of differences."""
+"""Arrays of a square for the map of differences."""
 
 
 def accuracy(args: Mapping[str, Any], context: Context) -> Produced:
@@ -133,7 +133,7 @@ def _as_arrays(product: str, found: Tallies) -> dict[str, NDArray[Any]]:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What the reference says."""
+    """The survey against its reference."""
 
     accuracy: Accuracy
     differences_m: NDArray[np.float32]  #: (n,): every so many-th DTM minus reference by size [m].
@@ -159,7 +159,9 @@ def compared(done: Receipts, context: Context) -> Comparison | None:
     mean = np.full(len(total), NODATA)
     np.divide(total, count * STEPS_PER_M, out=mean, where=count > 0)
     values = mean.reshape(grid.rows, grid.columns).astype(np.float32)
-    share = _own_share(done)
+    looked = [receipt.facts["own"] for receipt in done.get("accuracy", {}).values()]
+    asked, own = np.sum([(0, 0), *looked], axis=0).tolist()
+    share = own / asked if asked else None
     accuracy = accuracy_report(
         *by_product,
         remove_bias=settings.remove_bias,
@@ -172,13 +174,6 @@ def compared(done: Receipts, context: Context) -> Comparison | None:
         RasterPart(values, grid.left_m, grid.top_m, grid.cell_m),
         share,
     )
-
-
-def _own_share(done: Receipts) -> float | None:
-    """Share of the reference's points that are the survey's own; None where none was looked at."""
-    looked = [receipt.facts.get("own", (0, 0)) for receipt in done.get("accuracy", {}).values()]
-    asked, own = (sum(one[k] for one in looked) for k in (0, 1))
-    return own / asked if asked else None
 
 
 def own_points(share: float | None) -> Iterator[Finding]:
@@ -214,7 +209,7 @@ def _looked_at(done: Receipts) -> bool:
 def _squares(
     done: Receipts, context: Context, total: NDArray[np.int64], count: NDArray[np.int64]
 ) -> Iterator[Tallies]:
-    """Errors that each square has found; what it says of the map is added to ``total, count``."""
+    """Errors that each square has found; its part of the map is added to ``total, count``."""
     damaged: DamagedError | None = None
     for square in done.get("accuracy", {}):
         try:

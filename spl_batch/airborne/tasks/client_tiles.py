@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
+from spl_batch.airborne.catalogue import CLIENT_TILES, CONTOURS
 from spl_batch.airborne.catalogue.catalogues import Layer, in_units, write_layers
-from spl_batch.airborne.catalogue.delivered_files import CLIENT_TILES, CONTOURS
 from spl_batch.airborne.context import Context, reprojection
 from spl_batch.airborne.store.flown_lines import read_shifts
 from spl_batch.airborne.tasks.index import BOXES, CHUNK_POINTS

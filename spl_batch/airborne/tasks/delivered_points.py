@@ -80,7 +80,7 @@ class Terrain:
 def gone(
     kind: str, classes: NDArray[np.uint8], las_flags: NDArray[np.uint8], flags: NDArray[np.uint8]
 ) -> NDArray[np.bool_]:
-    """Which points ``outputs.drop`` means by a word: (n,) bool.
+    """Which points a value of ``outputs.drop`` means: (n,) bool.
 
     Parameters
     ----------

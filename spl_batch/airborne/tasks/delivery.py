@@ -163,6 +163,7 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
     target = context.output / "laz" / args["delivered"]
     source = Path(args["path"])
     stamp = as_indexed("index_file", args, context)
+    extent = Extent.from_arrays(read_arrays(context.store.path("index", f"{args['source']}.npz")))
     with unchanged(source, stamp):
         header = read_header(source)
         dropping = Dropping(asked.drop, args["points"], header, context) if asked.drop else None
@@ -174,7 +175,8 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
             flags=context.workflow.classes.flags,
             heights=heights,
             crs=context.crs,
-            decoded=_decoded(args, context),
+            # Of a file whose layers can be copied the index keeps what they hold.
+            decoded=Decoded(_Given(args, context), extent) if extent.n_points else None,
             classes=classes,
             shifted=shifted,
             standard=args["standard"],
@@ -216,12 +218,6 @@ def _of_header(records: Mapping[str, int], kind: str) -> Iterator[Finding]:
     """Name what of a header a copy does without, or has in another way."""
     for text, n in records.items():
         yield Finding("I01", {"kind": kind, "what": f"{text}{f', {n} times' if n > 1 else ''}"})
-
-
-def _decoded(args: Mapping[str, Any], context: Context) -> Decoded | None:
-    """What the index keeps of a file whose layers can be copied."""
-    extent = Extent.from_arrays(read_arrays(context.store.path("index", f"{args['source']}.npz")))
-    return Decoded(_Given(args, context), extent) if extent.n_points else None
 
 
 class _Given:

@@ -184,7 +184,7 @@ def _spans(counted: Counted, gap_s: float, left: int) -> tuple[Spans, Spans, Spa
     largest = np.sort(near[:, 3])[::-1]
     small = largest < np.maximum(np.arange(1, len(largest) + 1), SEASON_POINTS)
     most = largest[small][0] if np.count_nonzero(small) > left else 0.0
-    scattered = near[:, 3] <= most  # all of this size go: which comes first says nothing
+    scattered = near[:, 3] <= most  # all of this size go: which comes first means nothing
     return near[~scattered], spans[far], near[scattered]
 
 

@@ -122,7 +122,7 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
         **known,
         "parts": spans,
         "numbers": _numbers(path, context),
-        # What the header alone tells, the plan has said.
+        # What the header alone shows, the plan has reported.
         "findings": [*findings, *_without_time(known)],
     }
     inputs = {str(path): args["stamp"]}

@@ -47,8 +47,8 @@ def reference(args: Mapping[str, Any], context: Context) -> Produced:
 
     Each chunk that is read is a group of rows of every square that it touches.
 
-    Each square has a margin, whose points do not count but tell what stands nearby: what is
-    said of a point depends neither on the cutting nor on the file that it came in.
+    Each square has a margin, whose points do not count but show what lies nearby: the
+    error of a point depends neither on the cutting nor on the file that it came in.
     """
     path, target = Path(args["path"]), context.store.table("reference", args["file"])
     points, squares = 0, Counter[str]()
@@ -105,7 +105,11 @@ def checkpoints(args: Mapping[str, Any], context: Context) -> Produced:
     """Compare the terrain with checkpoints."""
     # What is wrong with single ones was reported before the work began.
     known, _, _ = read_named(Path(args["path"]), context.crs, context.workflow.reference)
-    found = [_record(point, _terrain_m(point, context)) for point in known]
+    terrain_m = [_terrain_m(point, context) for point in known]
+    found = [
+        {**asdict(point), "error_m": None if height is None else height - point.z_m}
+        for point, height in zip(known, terrain_m, strict=True)
+    ]
     beyond = [one["id"] for one in found if one["error_m"] is None]
     lost = Finding("C01", {"kind": "beyond", "count": len(beyond), "names": beyond})
     facts = {
@@ -136,10 +140,6 @@ def _terrain_m(point: Checkpoint, context: Context) -> float | None:
         return None
     height = float(terrain.bilinear(place)[0])
     return height if np.isfinite(height) else None
-
-
-def _record(point: Checkpoint, terrain_m: float | None) -> dict[str, Any]:
-    return {**asdict(point), "error_m": None if terrain_m is None else terrain_m - point.z_m}
 
 
 def checkpoint_results(receipts: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:

@@ -20,8 +20,7 @@ from spl_batch.airborne.filter.expected_noise import (
 from spl_batch.airborne.filter.stray_returns import bare_cells
 from spl_batch.airborne.ground import ground_methods as grounding
 from spl_batch.airborne.products import surface_points
-from spl_batch.airborne.store.cells import Cell
-from spl_batch.airborne.store.label_tables import write_labels
+from spl_batch.airborne.store.label_tables import Cell, write_labels
 from spl_batch.airborne.store.voxel_parts import stored_by_line
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.spare_memory import give_back

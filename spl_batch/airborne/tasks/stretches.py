@@ -36,7 +36,7 @@ TIME_ORDER: Final = (
 """Sort keys of a stretch, first one first."""
 
 KEPT_COLUMNS: Final = tuple(name for name in SOURCE_COLUMNS if name != "source")
-"""Columns of an input in time order; the file's name tells the source."""
+"""Columns of an input in time order; the file's name has the source."""
 
 GROUP_POINTS: Final = 16_384
 """Points of a row group [count]: of a chunk of an input a stretch reads two in vain at most, a halo
@@ -46,7 +46,7 @@ is read from few of a tile, and small tiles share one."""
 def add_points(writer: GroupWriter, table: PointTable) -> None:
     """Keep a chunk of an input file in time order, but for what no computation looks at.
 
-    Row groups are short, and their footers tell their times; points without any come last.
+    Row groups are short, and their footers have their times; points without any come last.
     """
     table = _in_time_order(table.take(rows_of(~table.has(EXCLUDED))))
     for start in range(0, len(table), GROUP_POINTS):
@@ -102,7 +102,7 @@ def _once(table: PointTable, ranked: Sequence[int]) -> tuple[PointTable, Copies]
         rank = np.empty(len(table), np.int64)
         for place, key in enumerate(ranked):
             rank[table["source"] == key] = place
-        # The order within each file stands.
+        # The order within each file stays.
         table = table.take(np.lexsort([rank, np.cumsum(~again)]))
     return without_copies(table, again)
 

@@ -26,8 +26,7 @@ from spl_batch.airborne.pulses.first_returns import first_returns
 from spl_batch.airborne.pulses.swaths import Swaths
 from spl_batch.airborne.settings import ClassSettings
 from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.airborne.store.cells import Cell
-from spl_batch.airborne.store.label_tables import write_labels
+from spl_batch.airborne.store.label_tables import Cell, write_labels
 from spl_batch.airborne.store.raster_cells import write_cell
 from spl_batch.airborne.tasks import pulses
 from spl_batch.constants import (
@@ -150,7 +149,7 @@ def _classes_columns(workflow: Workflow) -> tuple[str, ...]:
 def _classes(cell: Cell, arrays: Rasters, swaths: Swaths) -> tuple[Path, dict[str, Any], int]:
     """Write the classes of what a cell owns, and look at its noise.
 
-    Of the rasters ``dtm`` is looked at, and ``noise`` is added; ``swaths`` tell where overlap is
+    Of the rasters ``dtm`` is looked at, and ``noise`` is added; ``swaths`` show where overlap is
     flagged. Gives the file of labels, facts for the report, and how many points were labelled.
     """
     workflow, dtm = cell.context.workflow, arrays["dtm"]
@@ -168,10 +167,10 @@ def _classes(cell: Cell, arrays: Rasters, swaths: Swaths) -> tuple[Path, dict[st
     labels = {"classification": classification}
     if workflow.classes.flags:
         labels["set_flags"] = _flags(mine, classification, workflow.classes, swaths)
-    facts, noise_m3 = {}, _median(arrays["noise"])
-    if noise_m3 is not None:
+    facts, noise = {}, arrays["noise"][arrays["noise"] > NODATA]
+    if noise.size:
         highest = air_fill.highest_ground(dtm)
-        air = air_fill.filled_blocks(mine, cell.core, highest, noise_m3)
+        air = air_fill.filled_blocks(mine, cell.core, highest, float(np.median(noise)))
         facts = {} if air is None else air_fill.fill_facts(air, cell.core)
     path = cell.context.store.table("surface", cell.args["cell"])
     write_labels(path, origin.of(owned), labels)
@@ -188,12 +187,6 @@ def _noise(table: PointTable, core: Bounds, size: int) -> NDArray[np.float32]:
     count = np.bincount(cell, minlength=shape[0] * shape[1])
     mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
     return north_up(mean.reshape(shape))
-
-
-def _median(noise: NDArray[np.float32]) -> float | None:
-    """Expected noise of a cell [1/m3]; None where there is none."""
-    known = noise[noise > NODATA]
-    return float(np.median(known)) if known.any() else None
 
 
 def _floor(cell: Cell) -> Floor:

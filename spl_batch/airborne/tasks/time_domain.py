@@ -25,7 +25,8 @@ from spl_batch.airborne.noise import voxel_noise
 from spl_batch.airborne.noise.line_model import LineModel
 from spl_batch.airborne.products.reflectance import fired_beamlets
 from spl_batch.airborne.store.flown_lines import Pass, line_of
-from spl_batch.airborne.store.voxel_parts import write_voxels
+from spl_batch.airborne.store.voxel_parts import voxel_file, write_voxels
+from spl_batch.airborne.tasks.line_findings import line_findings
 from spl_batch.airborne.tasks.stretches import (
     GROUP_POINTS,
     read_kept,
@@ -198,6 +199,7 @@ def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
         found += uneven(parts, _spans_s(args), law, rate, beamlets.seen)
     write_arrays(path, {**model.to_arrays(), **law.to_arrays()})
     seen = model.seen_fraction
+    wrong = line_findings(args["line"], args["stretches"], context.store)
     facts = {
         **{k: args[k] for k in ("points", "span_s", "prf_hz", "prf_basis", "beamlets", "basis")},
         "name": str(args["line"]),
@@ -205,7 +207,7 @@ def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
         "gate_basis": model.gate_basis,
         "noise_per_m": model.mean_rate,
         "seen_fraction": float(seen.mean()) if len(seen) else None,
-        "findings": [*model.findings, *found],
+        "findings": [*wrong, *model.findings, *found],
     }
     return Produced([path], facts, args["points"])
 
@@ -320,7 +322,7 @@ def _assess(
     parts = voxel_noise.deposit(lit, beams, model, workflow.noise, ground)
     # A stretch is one box of voxels, unless some of its points lie far from the rest.
     names = [f"{args['stretch']}{f'.{k}' if k else ''}" for k in range(len(parts))]
-    paths = [context.store.path("voxels", f"{name}.zarr") for name in names]
+    paths = [voxel_file(context.store, name) for name in names]
     for path, part in zip(paths, parts, strict=True):
         write_voxels(path, part)
     facts["voxels"] = {name: part.box() for name, part in zip(names, parts, strict=True)}
@@ -335,7 +337,7 @@ def _write_fired(
     context: Context,
     facts: dict[str, Any],
 ) -> list[Path]:
-    """Write where the beamlets pointed, if it is asked for, and positions and channels tell."""
+    """Write where the beamlets pointed, if asked for, where positions and channels are known."""
     asked = context.workflow.products.intensity == "detection"
     if not asked or args["basis"] not in _POSITIONED or args["beamlets"] < 2:
         return []

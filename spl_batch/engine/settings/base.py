@@ -4,8 +4,16 @@ import re
 from collections.abc import Iterable
 from typing import Annotated, Final
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    field_validator,
+)
 
+from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.findings import table
 from spl_batch.errors import named
 from spl_batch.formats.units import COMMON, NAMES
@@ -31,6 +39,20 @@ def _in_metres(value: object) -> object:
 
 Length = Annotated[Positive, BeforeValidator(_in_metres, json_schema_input_type=float | str)]
 """Metres, or a text with a unit: ``50 ft``, ``50 us-ft``, ``15 m``."""
+
+
+def _whole_quanta(edge_m: float) -> float:
+    """A length that is a whole number of quanta."""
+    quanta = edge_m * QUANTA_PER_M
+    if round(quanta) < 1 or abs(quanta - round(quanta)) > 1e-6:
+        raise ValueError(
+            "not a whole number of millimetres; rasters of whole feet come from outputs.cell"
+        )
+    return edge_m
+
+
+Edge = Annotated[Positive, AfterValidator(_whole_quanta)]
+"""Edge of a square of an absolute grid, in metres."""
 
 
 class Section(BaseModel):

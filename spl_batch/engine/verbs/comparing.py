@@ -175,23 +175,16 @@ def share_finished(source: Store, target: Store, kinds: Iterable[str]) -> None:
 
 
 def _link(path: Path, name: Path) -> None:
-    """Give a file or folder of a store a name in another; files there are only replaced."""
+    """Give a file of a store a name in another; files there are only replaced."""
     if is_remote(path):
         copy_object(path, name)
         return
     with replacing(name, durable=False) as temporary:
-        if path.is_dir():
-            shutil.copytree(path, temporary, copy_function=_link_file)
-        else:
-            _link_file(path, temporary)
-
-
-def _link_file(path: str | Path, name: str | Path) -> None:
-    try:
-        os.link(path, name)
-    except OSError:
-        # Another file system, or one without links; a full disk shows itself here again.
-        shutil.copy2(path, name)
+        try:
+            os.link(path, temporary)
+        except OSError:
+            # Another file system, or one without links; a full disk shows itself here again.
+            shutil.copy2(path, temporary)
 
 
 def per_million(cost: Performance, stage: str, count: int) -> float | None:

@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from importlib.util import find_spec
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any, Final
 
 from spl_batch.engine.findings import Finding, settled, table
@@ -253,11 +253,10 @@ def plain_name(task: Task, names: Mapping[str, str]) -> str:
 def makers(store: Store, kinds: Iterable[str], damaged: Iterable[str]) -> dict[str, Need]:
     """Damaged files, as receipts call them, with the task that makes each."""
     found: dict[str, Need] = {}
-    # A chunk is part of an output that is a directory.
-    parts = {part for name in damaged for part in (name, *map(str, PurePosixPath(name).parents))}
-    for kind in kinds if parts else ():
+    files = set(damaged)
+    for kind in kinds if files else ():
         for receipt in read_receipts(store, kind):
-            made = parts & receipt.outputs.keys()
+            made = files & receipt.outputs.keys()
             found.update(dict.fromkeys(made, (receipt.kind, receipt.name)))
     return dict(sorted(found.items()))
 

@@ -13,8 +13,7 @@ from typing import Any, cast
 
 from spl_batch.errors import StoppedError, WorkflowError
 
-_METADATA = "zarr.json"
-_OBJECTS = {".json", ".npz", ".parquet"}
+_OBJECTS = {".json", ".npz", ".parquet", ".zip"}
 """Ends of names that are objects, never folders: it takes a request to find out."""
 
 
@@ -73,21 +72,12 @@ def reaching(path: Path) -> Iterator[None]:
 
 @contextmanager
 def uploading(path: Path) -> Iterator[Path]:
-    """Give a local temporary name; put it in place when the block succeeds.
-
-    Of a directory the chunks come first, and their description last.
-    """
+    """Give a local temporary name; put the file in place when the block succeeds."""
     with TemporaryDirectory(prefix="spl_batch.upload.") as folder:
         temporary = Path(folder, path.name)
         yield temporary
         with reaching(path):
-            if not temporary.is_dir():
-                _put(temporary, path)
-                return
-            remove_remote(path)
-            files = [p for p in temporary.rglob("*") if p.is_file()]
-            for file in sorted(files, key=lambda p: (p.name == _METADATA, -len(p.parts), p)):
-                _put(file, path / file.relative_to(temporary).as_posix())
+            _put(temporary, path)
 
 
 def remove_remote(path: Path) -> None:
@@ -125,14 +115,11 @@ def read_object(path: Path) -> bytes:
 
 
 def copy_object(path: Path, target: Path) -> None:
-    """Copy an object, or all below a name, within one store."""
+    """Copy an object within one store."""
     with reaching(target):
         fs, name = file_system(path)
-        inside = files_below(path)
-        for part in sorted(inside, key=lambda p: (p.endswith(_METADATA), p)):
-            place = target / part if part else target
-            # Unlike cp_file, copy takes a name with brackets for a pattern.
-            fs.cp_file(f"{name}/{part}" if part else name, file_system(place)[1])
+        # Unlike cp_file, copy takes a name with brackets for a pattern.
+        fs.cp_file(name, file_system(target)[1])
 
 
 def _put(file: Path, path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Point tables as Parquet, and small arrays as NPZ; a damaged byte of either is noticed.
+"""Point tables as Parquet, small arrays as NPZ, files as an archive; a damaged byte is noticed.
 
 Numbers are stored byte by byte (byte-stream split): neighbouring points share their high bytes,
 which then cost next to nothing. Parquet has no numbers of one byte; its substitutes are written
@@ -8,7 +8,7 @@ zstd, to files as large.
 
 Parquet has checksums for pages but none for its footer, which has where they are and what lies in
 them. So one is put before the footer, where the format leaves bytes unread: any reader of Parquet
-still reads the file. An NPZ carries a hash of itself as the comment of the archive.
+still reads the file. An archive, as an NPZ is one, carries a hash of itself as its comment.
 """
 
 import hashlib
@@ -20,7 +20,7 @@ from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple
-from zipfile import BadZipFile, ZipFile
+from zipfile import BadZipFile, ZipFile, ZipInfo
 
 import numpy as np
 import pyarrow as pa
@@ -291,28 +291,49 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write small arrays as an uncompressed NPZ, atomically and with reproducible bytes."""
     buffer = io.BytesIO()
     np.savez(buffer, allow_pickle=False, **{k: np.asarray(v) for k, v in arrays.items()})
-    # The archive ends with the length of its comment, which is 0.
-    content = buffer.getvalue()[:-2] + struct.pack("<H", _HASH_CHARACTERS)
-    write_bytes(path, content + _hash(content), durable=False)
+    _write_sealed(path, buffer.getvalue())
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Read what :func:`write_arrays` wrote.
+    """Read what :func:`write_arrays` wrote; raises as :func:`read_files` does."""
+    stored = read_files(path)
+    try:
+        return {name.removesuffix(".npy"): _array(one) for name, one in stored.items()}
+    except (ValueError, TypeError, EOFError) as error:
+        raise DamagedError(path, error) from error
+
+
+def write_files(path: Path, files: Mapping[str, bytes]) -> None:
+    """Write files as an uncompressed archive, atomically and with reproducible bytes."""
+    buffer = io.BytesIO()
+    with ZipFile(buffer, "w") as archive:
+        for name in sorted(files):
+            archive.writestr(ZipInfo(name), files[name])
+    _write_sealed(path, buffer.getvalue())
+
+
+def read_files(path: Path) -> dict[str, bytes]:
+    """Files of an archive that ends with a hash of itself, by their names in it.
 
     Raises
     ------
     DamagedError
-        If the file is missing or damaged.
+        If the archive is missing or damaged.
     """
     try:
         content = read_bytes(path)
         if _hash(content[:-_HASH_CHARACTERS]) != content[-_HASH_CHARACTERS:]:
             raise DamagedError(path, "its content does not fit its hash")
         with ZipFile(io.BytesIO(content)) as archive:
-            stored = {one.filename: archive.read(one) for one in archive.filelist}
-        return {name.removesuffix(".npy"): _array(one) for name, one in stored.items()}
-    except (OSError, ValueError, TypeError, EOFError, BadZipFile) as error:
+            return {one.filename: archive.read(one) for one in archive.filelist}
+    except (OSError, ValueError, EOFError, BadZipFile) as error:
         raise DamagedError(path, error) from error
+
+
+def _write_sealed(path: Path, archive: bytes) -> None:
+    """Write an archive with a hash of itself as its comment, whose length, 0, it ends with."""
+    content = archive[:-2] + struct.pack("<H", _HASH_CHARACTERS)
+    write_bytes(path, content + _hash(content), durable=False)
 
 
 def _array(stored: bytes) -> NDArray[Any]:

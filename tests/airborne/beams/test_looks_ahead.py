@@ -11,6 +11,7 @@ from pyproj import CRS, Transformer
 from spl_batch.airborne.beams.geometry import look_ahead
 from spl_batch.airborne.beams.sensor_path import Lines, other_unit
 from spl_batch.airborne.plan.inputs import findings
+from spl_batch.airborne.tasks.line_findings import times_off
 from spl_batch.engine.watch.events import Event, Note
 from spl_batch.formats.gps_clock import leap_seconds
 from spl_batch.lattice.tables import BeamTable
@@ -57,7 +58,7 @@ def test_leap_seconds_are_reported_as_such(
     before, after = (f"{surveys.START_S + far},{place}" for far in (-500, 500))
     path.write_text("\n".join([head, before, *rows, after, ""]))
     texts = notes(surveys.write_workflow(tmp_path))
-    (text,) = [text for text in texts if "trajectory's times" in text]
+    (text,) = [text for text in texts if "the trajectory's times are" in text]
     assert "00001_371000000, 00002_371000000: the trajectory's times are " in text
     assert late in text
     assert not [other for other in texts if "N01" in other], "what follows from it"
@@ -128,16 +129,16 @@ def test_files_of_another_clock_are_named(others: list[str], found: list[str]) -
     assert [one.values["main"] for one in named] == ["adjusted standard time"] * len(found)
 
 
-@pytest.mark.parametrize(("astern", "off"), [(300_000, {}), (60_000, {"a": 8.0})])
+@pytest.mark.parametrize(("astern", "off"), [(300_000, []), (60_000, [8.0])])
 def test_a_stretch_that_sees_the_survey_ahead_makes_up_for_one_that_sees_it_astern(
-    astern: int, off: dict[str, float]
+    astern: int, off: list[float]
 ) -> None:
-    looks = {"a/0": (610.0, 200_000), "a/1": (570.0, 100_000), "a/3": (-590.0, astern)}
-    receipts: dict[str, Any] = {"a/2": SimpleNamespace(points=50_000, facts={})}
-    for name, (ahead_m, points) in looks.items():
-        receipts[name] = SimpleNamespace(points=points, facts={"ahead": [ahead_m, 2500.0, 49.8]})
-    survey: Any = SimpleNamespace(of=lambda kind: receipts if kind == "observe" else {})
-    assert findings.times_off(survey) == ({}, pytest.approx(off, rel=0.01))
+    looks = [(610.0, 200_000), (570.0, 100_000), (-590.0, astern)]
+    receipts: list[Any] = [SimpleNamespace(points=50_000, facts={})]
+    for ahead_m, points in looks:
+        receipts.append(SimpleNamespace(points=points, facts={"ahead": [ahead_m, 2500.0, 49.8]}))
+    seconds = [one.values["seconds"] for one in times_off("a", receipts)]
+    assert seconds == pytest.approx(off, rel=0.01)
 
 
 def a_scan(seconds: float, speed_m_s: float, ahead_m: float) -> tuple[BeamTable, np.ndarray]:

@@ -321,8 +321,8 @@ def nothing_but(name: str) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("crs", "shots", "reason", "srs_id"),
     [
-        (None, 5, "without a CRS nothing tells", -1),
-        (SITE, 5, "the CRS 'Site grid' does not tell where on earth", 100_000),
+        (None, 5, "without a CRS nothing shows", -1),
+        (SITE, 5, "the CRS 'Site grid' does not show where on earth", 100_000),
         ("EPSG:32615", 0, "no delivered cloud holds a point", 32615),
     ],
 )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from spl_batch.airborne.filter.expected_noise import HeldVoxels, noise_model
+from spl_batch.airborne.filter.expected_noise import noise_model
 from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.lattice.tables import FIXED_POINT, VoxelPart
 from spl_batch.lattice.tiles import quanta
@@ -17,7 +17,7 @@ FIRST, LAYERS = 2, 6
 """Lowest layer of the share, and how many there are."""
 
 
-class Tall(HeldVoxels):
+class Tall(VoxelPart):
     """A share that claims many more layers than it has."""
 
     def layers(self) -> range:
@@ -49,8 +49,8 @@ def asked(share: Any, xyz: list[NDArray[np.int64]]) -> tuple[tuple[int, ...], ND
 @pytest.mark.parametrize("layers", [(-20, 30), (FIRST, 4), (3, 30), (-20, 1), (11, 30)])
 def test_layers_that_no_share_has_change_nothing(part: VoxelPart, layers: tuple[int, int]) -> None:
     xyz = points(*layers)
-    shape, found = asked(HeldVoxels(part), xyz)
-    whole, expected = asked(Tall(part), xyz)
+    shape, found = asked(part, xyz)
+    whole, expected = asked(Tall(part.corner, part.amount, squares=part.squares), xyz)
     np.testing.assert_array_equal(found, expected)
     assert shape[2] <= min(LAYERS + 6, whole[2])
     assert expected.any() == (layers[0] < FIRST + LAYERS + 1 and layers[1] > FIRST - 1)
@@ -58,10 +58,10 @@ def test_layers_that_no_share_has_change_nothing(part: VoxelPart, layers: tuple[
 
 def test_a_stray_point_in_the_sky_costs_itself_alone(part: VoxelPart) -> None:
     xyz = points(FIRST, FIRST + LAYERS)
-    shape, expected = asked(HeldVoxels(part), xyz)
+    shape, expected = asked(part, xyz)
     strays = [np.concatenate((axis, axis[:2])) for axis in xyz]
     strays[2][-2:] = [quanta(2e6), -quanta(2e6)]
-    with_strays, found = asked(HeldVoxels(part), strays)
+    with_strays, found = asked(part, strays)
     np.testing.assert_array_equal(found[:, :-2], expected)
     assert not found[:, -2:].any()
     assert with_strays[2] <= shape[2] + 6

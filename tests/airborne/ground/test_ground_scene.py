@@ -121,7 +121,7 @@ def test_ground_is_not_biased_low() -> None:
 
 
 def test_ground_of_untold_spread_is_a_centimetre_low_at_most() -> None:
-    """Ranges that scatter twice as much as is reckoned with where no flightline tells it."""
+    """Ranges that scatter twice as much as is reckoned with where no flightline states it."""
     found = scene()
     bare = PointTable({axis: found.table[axis] for axis in "xyz"})
     error = dtm_error(found, ground_of(bare))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from spl_batch import api
 from spl_batch.airborne.plan.inputs.file_positions import extent, far_positions, saved_again
+from spl_batch.airborne.plan.inputs.files import Files
 from spl_batch.airborne.plan.inputs.findings import points_astray
 from spl_batch.airborne.plan.inputs.survey_inputs import gather_inputs
 from spl_batch.airborne.settings.workflow import load_workflow
@@ -56,8 +57,14 @@ def raster(path: Path) -> NDArray[np.float32]:
     return values
 
 
+def listed(*usable: LasFacts) -> Files:
+    files = Files()
+    files.usable = [*usable]
+    return files
+
+
 def far(**boxes: tuple[float, float, float, float]) -> list[Finding]:
-    return list(far_positions([(name, facts(name, box)) for name, box in boxes.items()]))
+    return list(far_positions(listed(*(facts(name, box) for name, box in boxes.items()))))
 
 
 def test_a_file_far_from_two_corridors_that_meet_at_a_corner_is_named() -> None:
@@ -68,12 +75,18 @@ def test_a_file_far_from_two_corridors_that_meet_at_a_corner_is_named() -> None:
     assert [(f.code, f.subject, round(f.values["km"])) for f in found] == [("I05", "stray", 28)]
 
 
+def test_files_of_one_point_have_a_distance() -> None:
+    found = far(a=(0, 0, 0, 0), b=(100, 0, 100, 0), c=(50_000, 0, 50_000, 0))
+    assert [(f.subject, f.values["km"]) for f in found] == [("c", pytest.approx(49.9))]
+
+
 def test_a_file_saved_again_by_another_scale_is_named() -> None:
-    one = facts("a.laz", (500_000.2, 0.0, 500_150.0, 150.0))
+    one = facts("a", (500_000.2, 0.0, 500_150.0, 150.0))
     coarse = replace(one, scales=(0.01, 0.01, 0.01), maxs_m=(500_150.004, 150.0, 50.0))
     elsewhere = replace(coarse, mins_m=(500_000.3, 0.0, 0.0))
     named = {"a": one, "b": coarse, "c": elsewhere, "d": one}
-    found = list(saved_again([*named.items()]))
+    files = listed(*(replace(like, path=Path(name)) for name, like in named.items()))
+    found = list(saved_again(files))
     assert [(f.code, f.subject, f.values["kind"]) for f in found] == [
         ("I03", "b and a", "saved"), ("I03", "d and b", "saved"),
     ]  # fmt: skip

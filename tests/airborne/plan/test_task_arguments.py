@@ -19,7 +19,7 @@ from spl_batch.airborne.products.product_table import (
 from spl_batch.airborne.settings import NoiseSettings, OutputSettings
 from spl_batch.airborne.settings.workflow import load_workflow
 from spl_batch.airborne.steps import STEPS
-from spl_batch.airborne.store import cells
+from spl_batch.airborne.store import label_tables
 from spl_batch.airborne.tasks import space_domain, surfaces
 from spl_batch.lattice.tiles import Bounds, grow
 from tests import surveys
@@ -44,7 +44,7 @@ def test_a_task_reads_as_far_as_its_plan_says(
         raise ReadError
 
     tasks = surfaces if kind == "surface" else space_domain
-    monkeypatch.setattr(cells, "read_region", read)
+    monkeypatch.setattr(label_tables, "read_region", read)
     workflow = load_workflow(surveys.write_workflow(tmp_path))
     context = Context(workflow, tmp_path, tmp_path / "out", "", "code")
     args = {

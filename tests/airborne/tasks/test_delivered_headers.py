@@ -27,7 +27,7 @@ def test_octrees_of_waveforms_are_refused_by_the_plan(survey: Path) -> None:
     workflow = surveys.write_workflow(survey, **LINEAR, outputs={"copc": True})
     ended = surveys.command("plan", workflow)
     assert ended.status == 2
-    assert "outputs.copc: lines/a.las: point format 9" in ended.err
+    assert "outputs.copc: lines/a.las: point format 4" in ended.err
 
 
 def test_waveforms_and_a_header_by_the_values(survey: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from spl_batch.airborne.lines.comparison import difference_map
-from spl_batch.airborne.store.voxel_parts import StoredVoxels, write_voxels
+from spl_batch.airborne.store.voxel_parts import read_voxels, write_voxels
 from spl_batch.airborne.tasks.accuracy import compared
 from spl_batch.engine.store.working_store import read_receipts
 from spl_batch.engine.tasks import runner
@@ -62,7 +62,7 @@ def voxels(path: Path) -> Callable[[], Any]:
 
     def read() -> Any:
         box = np.zeros((4, 4, 4), np.int64)
-        StoredVoxels(path).add((5, 6, 6), {"amount": box})
+        read_voxels(path).add((5, 6, 6), {"amount": box})
         return box.tolist()
 
     return read
@@ -72,20 +72,18 @@ def voxels(path: Path) -> Callable[[], Any]:
 def test_no_bit_changes_unnoticed(tmp_path: Path, write: Callable[[Path], Any], step: int) -> None:
     read = write(tmp_path / "file")
     expected = read()
-    kinds = [p for p in (tmp_path / "file").rglob("*") if p.is_file()] or [tmp_path / "file"]
-    noticed = 0
-    for file in kinds:
-        content = file.read_bytes()
-        for place in range(0, len(content), step):
-            damaged = bytearray(content)
-            damaged[place] ^= 1 << place % 8
-            file.write_bytes(damaged)
-            found = None
-            with contextlib.suppress(DamagedError):
-                found = read()
-            assert found in (None, expected), f"byte {place} of {file.name}"
-            noticed += found is None
-        file.write_bytes(content)
+    file, noticed = tmp_path / "file", 0
+    content = file.read_bytes()
+    for place in range(0, len(content), step):
+        damaged = bytearray(content)
+        damaged[place] ^= 1 << place % 8
+        file.write_bytes(damaged)
+        found = None
+        with contextlib.suppress(DamagedError):
+            found = read()
+        assert found in (None, expected), f"byte {place}"
+        noticed += found is None
+    file.write_bytes(content)
     assert read() == expected
     assert noticed > 100
 
@@ -93,8 +91,7 @@ def test_no_bit_changes_unnoticed(tmp_path: Path, write: Callable[[Path], Any], 
 @pytest.mark.parametrize("write", [parquet, npz, voxels])
 def test_nothing_is_cut_off_or_lost_unnoticed(tmp_path: Path, write: Callable[[Path], Any]) -> None:
     read = write(tmp_path / "file")
-    chunk = tmp_path / "file" / "amount" / "c" / "0" / "0" / "0"
-    file = chunk if chunk.exists() else tmp_path / "file"
+    file = tmp_path / "file"
     content = file.read_bytes()
     for damaged in (b"", b"PAR1 but no more", content[: len(content) // 2], content[:-1], None):
         file.unlink()

@@ -57,7 +57,8 @@ def npz(folder: Path) -> None:
 
 
 def voxels(folder: Path) -> None:
-    write_voxels(folder / "v.zarr", VoxelPart((0, 0, 0), NOISE.integers(0, 2**60, (30, 30, 30))))
+    amount = NOISE.integers(0, 2**60, (30, 30, 30))
+    write_voxels(folder / "v.zarr.zip", VoxelPart((0, 0, 0), amount))
 
 
 def cell(folder: Path) -> None:

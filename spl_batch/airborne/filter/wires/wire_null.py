@@ -94,7 +94,7 @@ def smoothed(share: NDArray[np.float64]) -> NDArray[np.float64]:
     """Shares smoothed over :data:`SMOOTH` neighbouring densities; beyond the ends these go on.
 
     A chance tube keeps many points at once, so drawn shares scatter far more than their number of
-    points tells.
+    points shows.
     """
     weights = np.bartlett(SMOOTH + 2)[1:-1]
     padded = np.pad(share, SMOOTH // 2, mode="edge")

@@ -49,7 +49,7 @@ from spl_batch.lattice.tiles import quanta
 from spl_batch.numerics.poisson import noise_tail_probability
 
 CELL_M: Final = 1.0
-"""Cell of the density that tells a surface [m]; 27 of them are counted. Half and twice move 107 +
+"""Cell of the density that shows a surface [m]; 27 of them are counted. Half and twice move 107 +
 81 and 28 + 24 labels."""
 
 CROWD: Final = 100.0
@@ -67,7 +67,7 @@ DIRECTIONS: Final = 0.16
 move 26 + 11 and 5 + 16 labels."""
 
 LEAST_M: Final = 1.5
-"""Nearest neighbour that tells a direction [m]. Half and twice move 2 + 8 and 17 + 22 labels."""
+"""Nearest neighbour that gives a direction [m]. Half and twice move 2 + 8 and 17 + 22 labels."""
 
 AGREES: Final = 0.6
 """Powers of ten that one agreeing tube is worth, in line or beside. Without those beside 89 instead
@@ -101,7 +101,7 @@ distances, and from there to the third."""
 
 
 class Found(NamedTuple):
-    """What the scan says of the m points asked for."""
+    """Result of the scan for the m points asked for."""
 
     signal: NDArray[np.bool_]  #: (m,): kept by the scan.
     #: (m,): sure enough to be classified as a conductor; all False where that is not asked for.

@@ -1,12 +1,11 @@
-"""What phases bring to light about the inputs of an airborne survey, in words."""
+"""Findings on the inputs of an airborne survey, once a phase has read them."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from spl_batch.airborne.beams.geometry import ELSEWHERE_M, Ahead
 from spl_batch.airborne.findings import CODES
 from spl_batch.airborne.plan.flightlines import FALLBACK_PRF_HZ
 from spl_batch.airborne.plan.inputs.channel_dimension import holds_few, unnamed_channels
@@ -19,15 +18,11 @@ from spl_batch.formats.gps_clock import CLOCKS
 from spl_batch.formats.las.reader import Numbers
 
 PRF_APART: Final = 0.05
-"""A stated pulse rate may differ by this part from the one that gps_time tells."""
-
-MERGED: Final = 0.01
-"""Share of returns of one time and channel off one beam that is told; where times tell shots apart
-there is none."""
+"""A stated pulse rate may differ by this part from the one that gps_time shows."""
 
 
 def judge_index(survey: Survey, failures: Iterable[Receipt]) -> Iterator[Finding]:
-    """Stop where no input is usable; say which ones have no time."""
+    """Stop where no input is usable; name those without times."""
     usable = survey.of("index_file")
     if not usable or not any(r.points for r in usable.values()):
         reasons = [*merged_faults(survey.inputs.bad), *(r.reason for r in failures)]
@@ -102,7 +97,7 @@ def refuse_empty_area(survey: Survey) -> None:
 
 
 def copies(survey: Survey) -> Iterator[Finding]:
-    """Say which files hold returns twice, and which ones hold returns that others hold too."""
+    """Files that hold returns twice, or returns that others hold too."""
     counts: Counter[tuple[str, str]] = Counter()
     for receipt in survey.of("build_tile").values():
         for copy, kept, count in receipt.facts["copies"]:
@@ -116,16 +111,6 @@ def copies(survey: Survey) -> Iterator[Finding]:
         else:
             values = {"kind": "files", "count": count}
             yield Finding("I03", values, f"{copy.name} and {kept.name}", badness=count)
-
-
-def _by_line(survey: Survey, fact: str) -> dict[str, list[tuple[Any, int]]]:
-    """What stretches that have it say of a fact, and their points, by flightline."""
-    found: dict[str, list[tuple[Any, int]]] = {}
-    for name, receipt in survey.of("observe").items():
-        if fact in receipt.facts:
-            line = name.split("/", maxsplit=1)[0]
-            found.setdefault(line, []).append((receipt.facts[fact], receipt.points))
-    return found
 
 
 def points_astray(survey: Survey) -> Iterator[Finding]:
@@ -147,78 +132,11 @@ def points_astray(survey: Survey) -> Iterator[Finding]:
         yield Finding("I05", values)
 
 
-def times_off(survey: Survey) -> tuple[dict[str, int], dict[str, float]]:
-    """Flightlines whose sensor is not above what it sees, as with times that are off.
-
-    Leap seconds that the trajectory's times lack, where these explain it; else by how many
-    seconds the times seem late [s]. A place is seen ahead first and astern later, so that one
-    stretch of a small survey may lie on one side: what counts is the mean over all returns.
-    """
-    leaps = {
-        line: int(leap_s)
-        for line, stretches in _by_line(survey, "leap_s").items()
-        for leap_s, _ in stretches
-        if leap_s
-    }
-    off: dict[str, float] = {}
-    for line, stretches in _by_line(survey, "ahead").items():
-        means, returns = zip(*stretches, strict=True)
-        whole = Ahead(*map(float, np.average(means, axis=0, weights=returns)))
-        if not whole.is_above and line not in leaps:
-            off[line] = whole.ahead_m / whole.speed_m_s
-    return leaps, off
-
-
-def looks_ahead(survey: Survey) -> Iterator[Finding]:
-    """Say where the trajectory's times are off, and by how much."""
-    leaps, off = times_off(survey)
-    for line, leap in leaps.items():
-        late = "early, as UTC is" if leap > 0 else "late, as GPS time is for UTC"
-        yield Finding("T02", {"kind": "leap", "leap_s": abs(leap), "late": late}, line)
-    for line, seconds in off.items():
-        side, late = ("behind", "early") if seconds < 0 else ("ahead of", "late")
-        values = {"kind": "late", "side": side, "seconds": abs(seconds), "late": late}
-        yield Finding("T02", values, line, badness=abs(seconds))
-
-
-def heights_in_other_unit(survey: Survey) -> Iterator[Finding]:
-    """Name the trajectory whose heights are feet for metres, or metres for feet."""
-    heights = _by_line(survey, "other_unit")
-    wrong = {line: [both for both, _ in some if both] for line, some in heights.items()}
-    lines = [line for line, some in wrong.items() if 2 * len(some) > len(heights[line])]
-    if not lines:
-        return
-    stated_m, met_m = np.median([both for line in lines for both in wrong[line]], axis=0).tolist()
-    (trajectory,) = survey.of("trajectory").values()
-    unit, code = ("feet", "EPSG:...+6360") if stated_m > met_m else ("metres", "EPSG:...+5703")
-    values = {
-        "kind": "unit",
-        "stated_m": stated_m,
-        "met_m": met_m,
-        "lines": lines,
-        "unit": unit,
-        "crs": code,
-    }
-    yield Finding("T02", values, str(trajectory.facts["name"]))
-
-
-def merged_shots(survey: Survey) -> Iterator[Finding]:
-    """Say where several shots share one time, or channels are none."""
-    for line, stretches in _by_line(survey, "off_one_beam").items():
-        counts, _ = zip(*stretches, strict=True)
-        together, apart, elsewhere = np.sum(counts, axis=0).tolist()
-        if 2 * elsewhere > apart:
-            yield Finding("I03", {"kind": "elsewhere", "km": ELSEWHERE_M / 1000}, line)
-        elif apart > MERGED * max(together, 1):
-            share = apart / together
-            yield Finding("T01", {"kind": "merged", "share": share}, line, badness=share)
-
-
 def _contradicted_rates(survey: Survey) -> Iterator[Finding]:
-    """Say where gps_time tells another pulse rate than the one that is stated."""
-    told = survey.of("index_file")
+    """Flightlines whose gps_time shows another pulse rate than the one that is stated."""
+    indexed = survey.of("index_file")
     for line in survey.flightlines:
-        seen = [told[key].facts["prf_hz"].get(str(line.psid)) for key in line.sources]
+        seen = [indexed[key].facts["prf_hz"].get(str(line.psid)) for key in line.sources]
         far = [hz for hz in seen if hz and abs(hz / line.clock.prf_hz - 1.0) > PRF_APART]
         if line.prf_basis == "given" and far and len(far) == sum(map(bool, seen)):
             values = {
@@ -228,7 +146,7 @@ def _contradicted_rates(survey: Survey) -> Iterator[Finding]:
 
 
 def other_clocks(survey: Survey) -> Iterator[Finding]:
-    """Say which files count their times in another way than those of most points do."""
+    """Files that count their times in another way than those of most points do."""
     points: Counter[str] = Counter()
     files = [r for r in survey.of("index_file").values() if r.facts["standard"] in CLOCKS]
     for receipt in files:
@@ -242,7 +160,7 @@ def other_clocks(survey: Survey) -> Iterator[Finding]:
 
 
 def _flown_twice(survey: Survey) -> Iterator[Finding]:
-    """Say which flightlines begin and end in the same moments, and hold as many returns."""
+    """Flightlines that begin and end in the same moments, and hold as many returns."""
     alike: dict[tuple[float, float, int], list[str]] = {}
     for line in survey.flightlines:
         if line.first_s < line.last_s:

@@ -1,22 +1,22 @@
-"""CRS of a survey and of its heights: the setting's, else what most points say."""
+"""CRS of a survey and of its heights: the setting's, else that of most points."""
 
 from collections import Counter
-from collections.abc import Hashable, Iterable, Iterator, Sequence
+from collections.abc import Hashable, Iterable
 from dataclasses import replace
 from typing import Final, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pyproj import CRS
 
 from spl_batch.airborne.context import reprojection
-from spl_batch.airborne.plan.inputs.file_positions import usable, without_degrees
+from spl_batch.airborne.plan.inputs.file_positions import leave_out_degrees
+from spl_batch.airborne.plan.inputs.files import Files
 from spl_batch.airborne.products.product_table import MOST_PIXELS
 from spl_batch.airborne.settings import SurveySettings
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.findings import Finding
-from spl_batch.errors import InputError, WorkflowError, grouped
+from spl_batch.errors import WorkflowError, grouped
 from spl_batch.formats.crs import (
     compound,
     crs_name,
@@ -46,32 +46,33 @@ from spl_batch.formats.units import Units, in_words
 T = TypeVar("T", bound=Hashable)
 
 AREAS_APART: Final = 0.01
-"""Areas and densities that are off by a larger part are worth a word."""
+"""Areas and densities that are off by a larger part are reported."""
 
 
-def survey_crs(
-    workflow: Workflow, files: Sequence[LasFacts]
-) -> tuple[CRS | None, list[LasFacts], list[InputError]]:
-    """CRS of the survey: the setting, else what most points say; files that differ are bad."""
+def survey_crs(workflow: Workflow, files: Files) -> CRS | None:
+    """CRS of the survey: the setting, else what most points have; leaves out files that differ.
+
+    With a setting every file without a CRS has that one, whatever its coordinates look like.
+    """
     stated = workflow.survey.crs
     given = None if stated is None else parse_crs(stated, "survey.crs")
-    good, bad = usable(
-        (_without_wrong_crs(facts, given) for facts in files),
+    files.usable = [_without_wrong_crs(facts, given) for facts in files.usable]
+    files.leave_out(
         lambda facts: (
             _crs_problems(facts, facts.crs or given)
             or _crs_problems(facts, given and vertical(given))
-        ),
+        )
     )
-    good, in_degrees = without_degrees(good, stated)
-    bad += in_degrees
-    given = given or _of_most((facts, facts.crs and horizontal(facts.crs)) for facts in good)
-    if given is None:
-        return None, good, bad
+    if stated is None:
+        leave_out_degrees(files)
+    crs = given or _of_most((facts, facts.crs and horizontal(facts.crs)) for facts in files.usable)
+    if crs is None:
+        return None
     key = None if stated is None else "survey.crs"
-    good, elsewhere = usable(good, lambda facts: contradiction(facts, given, key))
-    problems = stretch_problem(given, Units.of(given).metres(_corners(good)))
-    good, stretched = usable(good, lambda _: problems)
-    return horizontal(given), good, bad + elsewhere + stretched
+    files.leave_out(lambda facts: contradiction(facts, crs, key))
+    problems = stretch_problem(crs, Units.of(crs).metres(files.corners))
+    files.leave_out(lambda _: problems)
+    return horizontal(crs)
 
 
 def contradiction(facts: LasFacts, given: CRS, key: str | None, whose: str = "the survey's") -> str:
@@ -90,7 +91,7 @@ def contradiction(facts: LasFacts, given: CRS, key: str | None, whose: str = "th
     return f"{other_crs(facts.crs, given, whose)}; {remedy}"
 
 
-def check_reprojection(workflow: Workflow, crs: CRS | None, files: Sequence[LasFacts]) -> None:
+def check_reprojection(workflow: Workflow, crs: CRS | None, files: Files) -> None:
     """Refuse a CRS for outputs that the survey's corners, or waveforms, cannot be brought to.
 
     A raster cell there, too, that is smaller than a millimetre, larger than a ground cell, or so
@@ -101,18 +102,16 @@ def check_reprojection(workflow: Workflow, crs: CRS | None, files: Sequence[LasF
         return
     if workflow.outputs.cell is not None:
         _check_cell(workflow.outputs.cell, workflow, moved, files)
-    ends = [end for facts in files if facts.n_points for end in (facts.mins_m, facts.maxs_m)]
+    ends = [end for facts in files.holding for end in (facts.mins_m, facts.maxs_m)]
     moved.check(np.array(ends) / Units.of(crs).xyz_m)
-    waves = [facts for facts in files if facts.point_format in WAVEFORM_FORMATS]
+    waves = [facts for facts in files.usable if facts.point_format in WAVEFORM_FORMATS]
     if waves and moved.moves_points:
         raise WorkflowError(
             f"{moved.key}: {waves[0].path}: directions of waveforms are not converted; leave it out"
         )
 
 
-def _check_cell(
-    cell: float, workflow: Workflow, moved: Reprojection, files: Sequence[LasFacts]
-) -> None:
+def _check_cell(cell: float, workflow: Workflow, moved: Reprojection, files: Files) -> None:
     """Refuse a raster cell elsewhere, in the unit there; parameters as of check_reprojection."""
     smallest, largest = map(moved.in_units, (QUANTUM_M, workflow.ground.cell_m))
     if not smallest <= cell <= largest:
@@ -120,7 +119,7 @@ def _check_cell(
             f"{CELL_KEY}: {cell:g} is less than a millimetre or more than ground.cell_m; write "
             f"{smallest:g} to {largest:g}, in the unit of the CRS"
         )
-    area_m2 = float(np.ptp(_corners(files), axis=0).prod())
+    area_m2 = float(np.ptp(files.corners, axis=0).prod())
     # Of a survey with more raster cells than that rasters show the main part alone.
     whole = area_m2 <= MOST_PIXELS * workflow.products.cell_m**2
     pixels = area_m2 * (moved.in_units(1.0) / cell) ** 2
@@ -129,15 +128,6 @@ def _check_cell(
             f"{CELL_KEY}: rasters would have {grouped(pixels)} cells of {cell:g}, more than "
             f"{grouped(MOST_PIXELS)}; write a larger one"
         )
-
-
-def _corners(files: Iterable[LasFacts]) -> NDArray[np.float64]:
-    """Two corners of the box around the points of a survey, (2, 2); none without points."""
-    some = [facts for facts in files if facts.n_points]
-    if not some:
-        return np.empty((0, 2))
-    low, high = (np.array([getattr(f, end)[:2] for f in some]) for end in ("mins_m", "maxs_m"))
-    return np.array([low.min(axis=0), high.max(axis=0)])
 
 
 def _of_most(found: Iterable[tuple[LasFacts, T | None]]) -> T | None:
@@ -149,22 +139,20 @@ def _of_most(found: Iterable[tuple[LasFacts, T | None]]) -> T | None:
     return votes.most_common(1)[0][0] if votes else None
 
 
-def with_heights(
-    crs: CRS | None, settings: SurveySettings, files: Sequence[LasFacts]
-) -> tuple[CRS | None, list[LasFacts], list[InputError]]:
-    """The survey's CRS with its vertical one, if there is any; files of other heights are bad.
+def with_heights(crs: CRS | None, settings: SurveySettings, files: Files) -> CRS | None:
+    """The survey's CRS with its vertical one, if there is any; leaves out files of other heights.
 
-    It is that of the setting ``survey.crs``, else what most points say in the unit that most have:
+    It is that of the setting ``survey.crs``, else that of most points in the unit that most have:
     a few files that state metres do not make metres of feet that others leave to their eastings.
     Files that name a datum decide on it for those that state a unit alone.
     """
     if crs is None:
-        return None, list(files), []
+        return None
     stated = None if settings.crs is None else parse_crs(settings.crs, "survey.crs")
     named = stated if stated is not None and states_heights(stated) else None
     if settings.vertical_crs is not None:
         stated = with_vertical(crs, settings.vertical_crs, "survey.vertical_crs")
-    own = [(facts, completed(facts.crs, stated)) for facts in files if facts.crs is not None]
+    own = [(f, completed(f.crs, stated)) for f in files.usable if f.crs is not None]
     if named is None:
         unit_m = _of_most((facts, Units.of(found).vertical_m) for facts, found in own)
         stating = [
@@ -181,12 +169,11 @@ def with_heights(
             return ""
         return heights_fault(completed(facts.crs, stated), whole, "name it in survey.crs:")
 
-    return whole, *usable(files, differ)
+    files.leave_out(differ)
+    return whole
 
 
-def crs_findings(
-    crs: CRS | None, settings: SurveySettings, files: Sequence[tuple[str, LasFacts]]
-) -> list[Finding]:
+def crs_findings(crs: CRS | None, settings: SurveySettings, files: Files) -> list[Finding]:
     """A survey without a CRS or with a local one, and files whose places or heights have none.
 
     ``settings``: their CRS stand for what files lack. ``files``: with boxes in metres.
@@ -200,29 +187,24 @@ def crs_findings(
     stated = None if settings.crs is None else parse_crs(settings.crs, "survey.crs")
     if stated is None:
         others = {"kind": "others", "crs": crs_name(crs), "unit": in_words(units.horizontal)}
-        silent = (name for name, facts in files if facts.crs is None and facts.n_points)
-        found += [Finding("I08", others, name) for name in silent]
+        silent = [facts for facts in files.holding if facts.crs is None]
+        found += [Finding("I08", others, files.name(facts)) for facts in silent]
     if horizontal(crs).is_engineering:
         return [*found, Finding("I08", {"kind": "local", "crs": crs_name(crs)})]
-    found += _areas_off(crs, files)
+    lengths, areas = scale_there(crs, files.corners)
+    if max(abs(lengths - 1.0), abs(areas - 1.0)) > AREAS_APART:
+        scale = {"kind": "scale", "crs": crs_name(crs), "lengths": lengths, "areas": areas}
+        found.append(Finding("I05", scale))
     if settings.vertical_crs is not None or (stated is not None and states_heights(stated)):
         return found
     return [*found, *_without_heights(crs, files)]
 
 
-def _areas_off(crs: CRS, files: Iterable[tuple[str, LasFacts]]) -> Iterator[Finding]:
-    """A projection that draws lengths or areas larger or smaller than they are."""
-    lengths, areas = scale_there(crs, _corners(facts for _, facts in files))
-    if max(abs(lengths - 1.0), abs(areas - 1.0)) > AREAS_APART:
-        values = {"kind": "scale", "crs": crs_name(crs), "lengths": lengths, "areas": areas}
-        yield Finding("I05", values)
-
-
-def _without_heights(crs: CRS, files: Iterable[tuple[str, LasFacts]]) -> list[Finding]:
+def _without_heights(crs: CRS, files: Files) -> list[Finding]:
     """Files that do not name what heights are above, or their unit, beside others that do."""
     states = heights_above if heights_above(crs) else states_heights
-    some = [(name, facts.crs) for name, facts in files if facts.crs is not None and facts.n_points]
-    lacking = [name for name, found in some if not states(found)]
+    some = [(facts, facts.crs) for facts in files.holding if facts.crs is not None]
+    lacking = [files.name(facts) for facts, found in some if not states(found)]
     if not states(crs) or len(lacking) == len(some):
         return []
     heights = vertical(crs)
@@ -234,7 +216,7 @@ def _without_wrong_crs(facts: LasFacts, given: CRS | None) -> LasFacts:
     """Header with the user's CRS, if there is one, for a local or a geocentric one.
 
     A geocentric record over projected coordinates is a mistake of the writer's, and a local one
-    names no place; one in another unit still says so.
+    names no place; one in another unit still states it.
     """
     if given is None or facts.crs is None:
         return facts

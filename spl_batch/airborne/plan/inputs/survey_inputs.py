@@ -3,36 +3,28 @@
 import difflib
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from pyproj import CRS
 
+from spl_batch.airborne.context import reprojection, tiles_follow
+from spl_batch.airborne.plan.inputs.companion_files import (
+    CheckpointFile,
+    checked_checkpoints,
+    checked_reference,
+    read_shapes,
+    shape_files,
+)
 from spl_batch.airborne.plan.inputs.file_positions import (
-    boxes_of,
     degrees_as_metres,
     far_positions,
     in_other_unit,
-    inspected,
     saved_again,
-    usable,
 )
-from spl_batch.airborne.plan.inputs.reference_files import (
-    CheckpointFile,
-    ReferenceFiles,
-    checked_reference,
-    looked_into,
-    named_file,
-)
-from spl_batch.airborne.plan.inputs.shape_files import (
-    checksums,
-    kept_degrees,
-    read_shapes,
-    refuse_uncut,
-    shape_files,
-)
+from spl_batch.airborne.plan.inputs.files import Files
 from spl_batch.airborne.plan.inputs.survey_crs import (
     check_reprojection,
     crs_findings,
@@ -40,24 +32,12 @@ from spl_batch.airborne.plan.inputs.survey_crs import (
     with_heights,
 )
 from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.findings import Finding
-from spl_batch.engine.plan.input_files import (
-    CHECK,
-    check_keys,
-    expand,
-    name_below,
-    refuse_own,
-    source_key,
-)
-from spl_batch.engine.settings.mistaken_file import url_fault
-from spl_batch.errors import (
-    InputError,
-    WorkflowError,
-    merged_faults,
-    named,
-    shared,
-)
-from spl_batch.formats.geoid import Geoid
+from spl_batch.engine.plan.input_files import check_keys, expand, refuse_own, source_key
+from spl_batch.errors import InputError, WorkflowError, merged_faults, named
+from spl_batch.formats.files.atomic import checksum
+from spl_batch.formats.geoid import Geoid, grid_file
 from spl_batch.formats.heights import with_vertical
 from spl_batch.formats.las.convert import copied_format
 from spl_batch.formats.las.copc import copc_fault
@@ -94,7 +74,7 @@ class Inputs:
     sources: tuple[Source, ...]  #: Point files that can be used, by name.
     bad: tuple[InputError, ...]  #: Point files that cannot.
     trajectory: tuple[Path, ...]  #: Files that exist.
-    reference: ReferenceFiles  #: Files of reference points.
+    reference: Files  #: Files of reference points.
     crs: CRS | None
     warnings: tuple[Finding, ...]  #: What a user should know before the work starts.
     #: Key and checksum of each file of shapes, or of all that it is made of, and of the geoid's.
@@ -119,95 +99,102 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     faults: list[str] = []
     paths = expand(workflow.survey.flightlines, base, "survey.flightlines", faults)
     trajectory = expand(workflow.survey.trajectory, base, "survey.trajectory", faults)
-    reference_names = workflow.reference.points if workflow.reference else None
-    reference = expand(reference_names, base, "reference.points", faults)
-    checkpoints = named_file(workflow.reference, base)
-    others = shape_files(workflow)
-    if workflow.reference and workflow.reference.checkpoints is not None:
-        others["reference.checkpoints"] = workflow.reference.checkpoints
-    faults += _missing(others, base)
+    reference = workflow.reference
+    references = expand(reference.points if reference else None, base, "reference.points", faults)
+    expand(reference.checkpoints if reference else None, base, "reference.checkpoints", faults)
+    for key, name in shape_files(workflow).items():
+        expand(name, base, key, faults)
     refuse_own(paths, output, "survey.flightlines", faults)
     if faults:
         raise WorkflowError("; ".join(faults))
-    good, bad = _inspect(paths)
-    good, without_channel = _with_channel(good, workflow.survey.channel_dimension)
-    crs, good, mismatched = survey_crs(workflow, good)
-    crs, good, lowered = with_heights(crs, workflow.survey, good)
-    mismatched += lowered
-    bad += [*without_channel, *mismatched]
-    if not any(facts.n_points for facts in good):
-        bad += [InputError(str(facts.path), NO_POINTS) for facts in good]
-        faults_of = _unusable(trajectory, workflow, crs, ())
-        nothing = ReferenceFiles()
-        return Inputs((), tuple(bad), trajectory, nothing, crs, (), no_trajectory=faults_of)
+    files = Files(paths, base)
+    files.leave_out(_too_many_points)
+    _leave_out_channelless(files, workflow.survey.channel_dimension)
+    sound = len(files.bad)
+    crs = with_heights(survey_crs(workflow, files), workflow.survey, files)
+    elsewhere = files.bad[sound:]
+    if not files.holding:
+        files.leave_out(lambda _: NO_POINTS)
+        lost = _unusable(trajectory, workflow, crs, files)
+        return Inputs((), tuple(files.bad), trajectory, Files(), crs, (), no_trajectory=lost)
     if workflow.survey.vertical_crs is not None:
         crs = with_vertical(crs, workflow.survey.vertical_crs, "survey.vertical_crs")
-    good = [facts.in_metres(Units.of(crs)) for facts in good]
-    areas, apart = read_shapes(workflow, base, crs, good)
-    refuse_uncut(workflow, base, crs, good)
-    geoid = workflow.outputs.geoid
+    files.in_metres(Units.of(crs))
+    shapes = read_shapes(workflow, base, crs, files)
+    geoid, beside = workflow.outputs.geoid, shapes.checksums
     if geoid is not None:
         Geoid(geoid.grid, base / geoid.grid, crs).crs_above(geoid.crs)
-    check_reprojection(workflow, crs, good)
-    _refuse_no_copc(workflow, good, base)
-    untimed = _without_time(workflow, good, base)
-    warnings = [*(Finding("I06", {"what": text}) for text in workflow.remarks()), *apart, *untimed]
+        grid = grid_file(geoid.grid, base / geoid.grid)
+        beside += [] if grid is None else [("outputs.geoid.grid", checksum(grid))]
+    check_reprojection(workflow, crs, files)
+    _refuse_unfit(workflow, crs, files)
+    warnings = [Finding("I06", {"what": text}) for text in workflow.remarks()]
+    warnings += [*shapes.findings, *_without_time(workflow, files)]
     warnings += [
-        Finding("I01", {"kind": "header", "what": text}, name_below(facts.path, base))
-        for facts in good
+        Finding("I01", {"kind": "header", "what": text}, files.name(facts))
+        for facts in files.usable
         for text in (*facts.warnings, *facts.rounding)
     ]
-    placed = [(name_below(facts.path, base), facts) for facts in good]
-    warnings += [*degrees_as_metres(placed), *far_positions(placed), *saved_again(placed)]
-    warnings += kept_degrees(workflow, base, crs)
-    checkpoints, remarks = looked_into(checkpoints, crs, workflow.reference, good)
-    warnings += remarks
-    warnings += crs_findings(crs, workflow.survey, placed)
-    names = _delivered_names([f.path for f in good], base)
-    sources = tuple(
-        Source(f.path, name_below(f.path, base), name, source_key(name), f)
-        for f, name in zip(good, names, strict=True)
-    )
+    warnings += [*degrees_as_metres(files), *far_positions(files), *saved_again(files)]
+    checkpoints, remarks = checked_checkpoints(reference, base, crs, files)
+    warnings += [*remarks, *crs_findings(crs, workflow.survey, files)]
+    names = _delivered_names([facts.path for facts in files.usable], base)
+    sources = [
+        Source(facts.path, files.name(facts), name, source_key(name), facts)
+        for facts, name in zip(files.usable, names, strict=True)
+    ]
     check_keys(sources)
     return Inputs(
         tuple(sorted(sources, key=lambda s: s.name)),
-        tuple(bad),
+        tuple(files.bad),
         trajectory,
-        checked_reference(reference, workflow.reference, crs, mismatched),
+        checked_reference(references, reference, crs, elsewhere),
         crs,
         tuple(warnings),
-        tuple(checksums(workflow, base, crs)),
+        tuple(beside),
         checkpoints,
-        _unusable(trajectory, workflow, crs, good),
-        areas,
+        _unusable(trajectory, workflow, crs, files),
+        tuple(shapes.areas),
     )
 
 
-def _missing(named: Mapping[str, str], base: Path) -> Iterator[str]:
-    """A sentence for each file that cannot be there, by its key."""
-    for key, name in named.items():
-        if fault := url_fault(name):
-            yield f"{key}: {name}: {fault}"
-        elif not (base / name).exists():
-            yield f"{key}: {base / name} does not exist; {CHECK}"
+def _too_many_points(facts: LasFacts) -> str:
+    """Fault of a file with more points than their numbers reach; empty for others."""
+    text = f"{facts.n_points} points; split files over {MAX_POINTS}"
+    return text if facts.n_points > MAX_POINTS else ""
 
 
-def _refuse_no_copc(workflow: Workflow, files: Sequence[LasFacts], base: Path) -> None:
-    """Refuse octrees where they are asked for and a cloud can be none."""
-    if not workflow.outputs.copc:
-        return
-    unfit = (
-        (name_below(facts.path, base), fault)
-        for facts in files
-        if (fault := copc_fault(copied_format(facts.point_format), facts.scales)) is not None
-    )
-    faults = list(shared(unfit))
-    if faults:
-        raise WorkflowError("outputs.copc: " + "; ".join(faults))
+def _refuse_unfit(workflow: Workflow, crs: CRS | None, files: Files) -> None:
+    """Refuse octrees, and tiles of a client, that clouds cannot be written as."""
+    outputs, tiles = workflow.outputs, workflow.outputs.client_tiles
+    asked = [("outputs.copc", "copc", True)] if outputs.copc else []
+    if tiles is not None:
+        # Clouds in another unit have one scale, whatever the input's.
+        kept = tiles.format == "copc" and not tiles_follow(outputs, reprojection(outputs, crs))
+        asked.append(("outputs.client_tiles", tiles.format, kept))
+    for key, written, kept in asked:
+        unfit = [
+            facts
+            for facts in files.usable
+            if copc_fault(
+                copied_format(facts.point_format), facts.scales if kept else (QUANTUM_M,) * 3
+            )
+        ]
+        if unfit:
+            kinds = {
+                f"{one.point_format} with scales {', '.join(f'{s:g}' for s in one.scales)}"
+                for one in unfit
+            }
+            raise WorkflowError(
+                f"{key}: {named([files.name(facts) for facts in unfit], 3)}: point format "
+                f"{' or '.join(sorted(kinds))} cannot be written as {written}: that takes formats "
+                "without waveforms, and octrees one scale; leave the key out, or write them "
+                "otherwise"
+            )
 
 
 def _unusable(
-    trajectory: Sequence[Path], workflow: Workflow, crs: CRS | None, files: Sequence[LasFacts]
+    trajectory: Sequence[Path], workflow: Workflow, crs: CRS | None, files: Files
 ) -> tuple[InputError, ...]:
     """Why files of a trajectory are none, by their first records; not all of them.
 
@@ -216,37 +203,36 @@ def _unusable(
     faults: list[InputError] = []
     elsewhere: list[InputError] = []
     named_crs = crs is None or workflow.survey.trajectory_crs is not None
-    survey = boxes_of(files) if files else None
     for path in trajectory:
         try:
             first = first_records(path)
         except InputError as fault:
             faults.append(fault)
             continue
-        if first is None or survey is None:
+        if first is None or not files.holding:
             continue
         unnamed = not named_crs and path.suffix.lower() not in SBET_SUFFIXES
-        if unnamed and (text := in_other_unit(first, crs, survey)):
+        if unnamed and (text := in_other_unit(first, crs, files.boxes)):
             elsewhere.append(InputError(str(path), text))
     if trajectory and len(faults) + len(elsewhere) == len(trajectory):
         raise WorkflowError(f"survey.trajectory: {'; '.join(merged_faults([*faults, *elsewhere]))}")
     return tuple(faults)
 
 
-def _without_time(workflow: Workflow, files: Sequence[LasFacts], base: Path) -> list[Finding]:
+def _without_time(workflow: Workflow, files: Files) -> list[Finding]:
     """Files whose point format has no gps_time although the chain needs it."""
-    lacking = [facts for facts in files if not facts.has_gps_time]
+    lacking = [facts for facts in files.usable if not facts.has_gps_time]
     if not lacking or not workflow.filtering:
         return []
-    if len(lacking) == len(files):
+    if len(lacking) == len(files.usable):
         raise WorkflowError(
-            f"{named([name_below(facts.path, base) for facts in files], 3)}: the point format has "
+            f"{named([files.name(facts) for facts in lacking], 3)}: the point format has "
             "no gps_time, so there are no shots to filter by; write point format 1, 3 or 6 to 10 "
             "with times, or set filter.method: none and afterpulse.enabled: false for ground and "
             "surfaces"
         )
     return [
-        Finding("I02", {"kind": "format", "format": one.point_format}, name_below(one.path, base))
+        Finding("I02", {"kind": "format", "format": one.point_format}, files.name(one))
         for one in lacking
     ]
 
@@ -256,30 +242,19 @@ def source_args(source: Source) -> dict[str, str]:
     return {"source": str(source.key), "path": str(source.path)}
 
 
-def _inspect(paths: Iterable[Path]) -> tuple[list[LasFacts], list[InputError]]:
-    known, bad = inspected(paths)
-    text = "{} points; split files over {}".format
-    good, large = usable(
-        known, lambda f: text(f.n_points, MAX_POINTS) if f.n_points > MAX_POINTS else None
-    )
-    return good, bad + large
-
-
-def _with_channel(
-    files: Sequence[LasFacts], dimension: str | None
-) -> tuple[list[LasFacts], list[InputError]]:
-    """Files that have the dimension with the beamlet number, and those that lack it.
+def _leave_out_channelless(files: Files, dimension: str | None) -> None:
+    """Leave out files that lack the dimension with the beamlet number.
 
     Where all lack it the key is wrong, not the files.
     """
-    lacking = [facts for facts in files if dimension not in facts.dimensions]
+    lacking = [facts for facts in files.usable if dimension not in facts.dimensions]
     if dimension is None or not lacking:
-        return list(files), []
-    if len(lacking) == len(files):
-        there = list(dict.fromkeys(name for facts in files for name in facts.dimensions))
+        return
+    if len(lacking) == len(files.usable):
+        there = list(dict.fromkeys(name for facts in lacking for name in facts.dimensions))
         near = difflib.get_close_matches(dimension, there, n=1, cutoff=0.7)
         remedy = f"the nearest is {near[0]!r}" if near else f"there are {', '.join(there)}"
-        paths = named([facts.path for facts in files], 3)
+        paths = named([facts.path for facts in lacking], 3)
         raise WorkflowError(
             f"survey.channel_dimension: no dimension {dimension!r} in {paths}; {remedy}"
         )
@@ -287,7 +262,7 @@ def _with_channel(
         f"no dimension {dimension!r} (survey.channel_dimension), which other files have; "
         "add it, or process the file apart"
     )
-    return usable(files, lambda facts: None if dimension in facts.dimensions else text)
+    files.leave_out(lambda facts: None if dimension in facts.dimensions else text)
 
 
 def _delivered_names(paths: Sequence[Path], base: Path) -> list[str]:

@@ -5,11 +5,11 @@ Each detection, noise too, lies on the axis of its beamlet. So a block of a few 
 of the array and its turn, and where it points in the shots and channels between.
 
 Blocks lie on the absolute grid of shots, at most :data:`BLOCK_SHOTS` long, each by itself: where a
-flightline is cut does not matter. The line model says which shots were fired, and how sensitive a
+flightline is cut does not matter. The line model has which shots were fired, and how sensitive a
 channel is.
 
 Deviations: a channel's place in the array is that of Eq. 2.9 where the returns agree with it; else
-the block's own returns tell it, and a channel without any counts as not fired. A block that fits
+the block's own returns give it, and a channel without any counts as not fired. A block that fits
 neither is left out.
 """
 

@@ -1,6 +1,6 @@
 r"""Reflectance from how often beamlets were seen; domain: space.
 
-Source: [W17] 8.2.2 with Eq. 2.1 and 2.7. A single-photon channel tells one photo-electron from
+Source: [W17] 8.2.2 with Eq. 2.1 and 2.7. A single-photon channel detects one photo-electron or
 none: brightness is in the share of beamlets that were seen. A beamlet that expects :math:`k \rho`
 photo-electrons is seen with :math:`p = 1 - e^{-k \rho}`, where
 
