@@ -34,6 +34,7 @@ GPS_WEEK_S: Final = 604_800
 ADJUSTED_STANDARD_OFFSET_S: Final = 1_000_000_000
 """LAS adjusted standard GPS time is GPS time less this [s]."""
 
+CLASS_NEVER_CLASSIFIED: Final = 0
 CLASS_UNCLASSIFIED: Final = 1
 CLASS_GROUND: Final = 2
 CLASS_LOW_VEGETATION: Final = 3
@@ -42,13 +43,15 @@ CLASS_HIGH_VEGETATION: Final = 5
 CLASS_BUILDING: Final = 6
 CLASS_LOW_NOISE: Final = 7
 CLASS_WATER: Final = 9
+CLASS_OVERLAP: Final = 12
 CLASS_WIRE: Final = 14
 CLASS_HIGH_NOISE: Final = 18
-"""ASPRS LAS 1.4 classes that the delivered clouds use."""
+"""ASPRS LAS 1.4 classes that the delivered clouds use; class 12, which overlap points had before
+there was a flag for them, is not to be used."""
 
 CLASS_NAMES: Final[Mapping[int, str]] = MappingProxyType(
     {
-        0: "never classified",
+        CLASS_NEVER_CLASSIFIED: "never classified",
         CLASS_UNCLASSIFIED: "unclassified",
         CLASS_GROUND: "ground",
         CLASS_LOW_VEGETATION: "low vegetation",

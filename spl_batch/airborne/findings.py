@@ -6,6 +6,9 @@ from typing import Final
 
 from spl_batch.engine.findings import Code
 
+WARNED_SHARE: Final = 0.02
+"""Share of the signal, the terrain or the afterpulses from which on a finding names it, 0..1."""
+
 CODES: Final[Mapping[str, Code]] = MappingProxyType(
     {
         "I01": Code(

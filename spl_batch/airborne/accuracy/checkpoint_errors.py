@@ -24,6 +24,7 @@ import numpy as np
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
+from spl_batch.airborne.settings.standards import ASKED
 from spl_batch.engine.report.number_format import as_ascii, height
 from spl_batch.engine.report.parts import STRICT, Count, Number
 
@@ -34,9 +35,6 @@ EDITION: Final = "Edition 2, Version 1.0 (2023)"
 
 IN_FORCE: Final = "Edition 2, Version 2 (2024)"
 """What a statement is made by."""
-
-ENOUGH: Final = 30
-"""Checkpoints of a kind that a statement needs [count]."""
 
 OUTLIER_SIGMA: Final = 3.0
 """A checkpoint is named that differs from the median by more than so many robust standard
@@ -71,7 +69,7 @@ class CheckpointStatistics:
     @property
     def enough(self) -> bool:
         """Whether there are as many as a statement needs, of known accuracy."""
-        return self.n >= ENOUGH and self.rmse_v_m is not None
+        return self.n >= ASKED.checkpoints and self.rmse_v_m is not None
 
 
 def at_checkpoints(found: Sequence[CheckpointError]) -> CheckpointStatistics:
@@ -125,15 +123,17 @@ def statement(
 
 
 def _lacking(nva: CheckpointStatistics) -> str:
-    if nva.n < ENOUGH:
-        return f"{nva.n} of the {ENOUGH} open checkpoints that it needs lie on the terrain"
+    if nva.n < ASKED.checkpoints:
+        return (
+            f"{nva.n} of the {ASKED.checkpoints} open checkpoints that it needs lie on the terrain"
+        )
     return "the accuracy of the checkpoints themselves is not given"
 
 
 def _found(name: str, kind: str, of: CheckpointStatistics, unit: tuple[str, float]) -> str:
     if of.rmse_v1_m is None:
         return f"The {name} was not tested: no {kind} checkpoint lies on the terrain."
-    few = "" if of.n >= ENOUGH else ", using the reduced number of checkpoints"
+    few = "" if of.n >= ASKED.checkpoints else ", using the reduced number of checkpoints"
     own = (
         "the checkpoints' own accuracy is not known"
         if of.rmse_v2_m is None

@@ -1,39 +1,12 @@
-"""What a contract asks for and what a run knows of it: limits by quality level, evidence.
-
-Source: USGS Lidar Base Specification 2025 rev. A, Table 1 (aggregate nominal pulse spacing and
-density), Table 2 (relative vertical accuracy), Table 4 (absolute vertical accuracy).
-"""
+"""What a run knows of what a contract asks for."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import Final, NamedTuple
 
 from spl_batch.airborne.accuracy.checkpoint_errors import CheckpointStatistics
 from spl_batch.airborne.pulses.swaths import SwathTotals
 from spl_batch.engine.report.number_format import height
 from spl_batch.formats.units import METRES, Units, both
-
-
-class Level(NamedTuple):
-    """Limits of a quality level [m, 1/m2]; USGS Lidar Base Specification, Tables 1, 2 and 4."""
-
-    rmse_v_m: float
-    pulses_per_m2: float
-    spacing: str  #: Key of its nominal pulse spacing.
-    spacing_m: float
-    overlap_rmsd_m: float  #: Swath overlap difference, RMSDz.
-
-
-LEVELS: Final[Mapping[str, Level]] = MappingProxyType(
-    {
-        "QL0": Level(0.05, 8.0, "QL1", 0.35, 0.04),
-        "QL1": Level(0.10, 8.0, "QL1", 0.35, 0.08),
-        "QL2": Level(0.10, 2.0, "QL2", 0.71, 0.08),
-        "QL3": Level(0.20, 0.5, "QL3", 1.41, 0.16),
-    }
-)
-"""Limits by quality level."""
 
 
 @dataclass(frozen=True, slots=True)

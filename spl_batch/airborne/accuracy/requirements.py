@@ -2,7 +2,7 @@
 
 Sources: ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2, Version 1.0
 (2023), by section; USGS Lidar Base Specification 2025 rev. A, by the headings of its sections. The
-limits of a quality level are in :data:`~spl_batch.airborne.accuracy.evidence.LEVELS`. Nothing
+limits of a quality level are in :data:`~spl_batch.airborne.settings.standards.LEVELS`. Nothing
 passes for want of evidence: what nobody measured is "cannot tell", with what would tell it.
 """
 
@@ -12,10 +12,16 @@ from typing import Final, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from spl_batch.airborne.accuracy.checkpoint_errors import EDITION, ENOUGH, STANDARD
-from spl_batch.airborne.accuracy.evidence import LEVELS, Evidence
+from spl_batch.airborne.accuracy.checkpoint_errors import EDITION, STANDARD
+from spl_batch.airborne.accuracy.evidence import Evidence
 from spl_batch.airborne.pulses.swaths import SwathTotals
-from spl_batch.constants import CLASS_HIGH_NOISE, CLASS_LOW_NOISE
+from spl_batch.airborne.settings.standards import ASKED, LEVELS
+from spl_batch.constants import (
+    CLASS_HIGH_NOISE,
+    CLASS_LOW_NOISE,
+    CLASS_NEVER_CLASSIFIED,
+    CLASS_OVERLAP,
+)
 from spl_batch.engine.report.number_format import number, percent, significant
 from spl_batch.engine.report.parts import STRICT
 from spl_batch.errors import named
@@ -27,23 +33,9 @@ LBS: Final = "USGS Lidar Base Specification 2025 rev. A"
 COLLECTION: Final = "Collection Requirements"
 PROCESSING: Final = "Data Processing and Handling"
 
-NEVER_CLASSIFIED: Final = 0
-OVERLAP_CLASS: Final = 12
-"""Class of overlap points before there was a flag for them; it is not to be used."""
-
-
 SMALL_SHARE: Final = 0.01
 """A flightline with less than this share of the largest one's area is not judged by itself, fewer
 first returns in none of them do not matter, nor does a smaller area off the edge, 0..1."""
-
-FILLED_SHARE: Final = 0.9
-"""Squares of twice the nominal spacing that hold a first return, 0..1."""
-
-KNOWN_SHARE: Final = 0.5
-"""Checkpoints' own accuracy, of the largest RMSE_V: they shall be twice as accurate [7.12]."""
-
-MEAN_SHARE: Final = 0.25
-"""Mean error, of the largest RMSE_V, from which on it is to be looked into [7.2]."""
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -69,7 +61,9 @@ def requirements(known: Evidence) -> tuple[Requirement, ...]:
 
 def _accuracy(known: Evidence) -> Requirement:
     limit, nva = known.rmse_v_m, known.nva
-    required = f"RMSE_V at most {known.height(limit)} at {ENOUGH} open checkpoints or more"
+    required = (
+        f"RMSE_V at most {known.height(limit)} at {ASKED.checkpoints} open checkpoints or more"
+    )
     place = ("Absolute vertical accuracy, NVA", required)
     section = (
         f"{EDITION}, sections 7.4, 7.12 and 7.13; {LBS}, {PROCESSING}, Absolute Vertical Accuracy; "
@@ -88,27 +82,32 @@ def _accuracy(known: Evidence) -> Requirement:
         why = "the checkpoints' own accuracy is not given: column accuracy_m"
         return Requirement(*place, found, "cannot tell", why, STANDARD, section)
     found = f"RMSE_V {whole} at {nva.n} checkpoints"
-    if nva.n < ENOUGH:
-        why = f"{nva.n} checkpoints are insufficient for a statement, {ENOUGH} are needed"
+    if nva.n < ASKED.checkpoints:
+        why = (
+            f"{nva.n} checkpoints are insufficient for a statement, {ASKED.checkpoints} are needed"
+        )
         return Requirement(*place, found, "cannot tell", why, STANDARD, section)
     why = f"fit {fit}, checkpoints {own}"
     if nva.outliers:
         why += f"; look at {named(nva.outliers)}"
     answer: Answer = "pass" if nva.rmse_v_m <= limit else "fail"
-    if answer == "pass" and (nva.rmse_v2_m or 0.0) > KNOWN_SHARE * limit:
+    if answer == "pass" and (nva.rmse_v2_m or 0.0) > ASKED.known_share * limit:
         answer = "cannot tell"
-        why += f": they shall be known to {known.height(KNOWN_SHARE * limit)}"
+        why += f": they shall be known to {known.height(ASKED.known_share * limit)}"
     return Requirement(*place, found, answer, why, STANDARD, section)
 
 
 def _vegetated(known: Evidence) -> Requirement:
-    place = ("Absolute vertical accuracy, VVA", f"reported, {ENOUGH} checkpoints or more")
+    place = (
+        "Absolute vertical accuracy, VVA",
+        f"reported, {ASKED.checkpoints} checkpoints or more",
+    )
     vva = known.vva
-    if vva is None or vva.rmse_v_m is None or vva.n < ENOUGH:
+    if vva is None or vva.rmse_v_m is None or vva.n < ASKED.checkpoints:
         found = "not tested" if vva is None or not vva.n else f"{vva.n} checkpoints"
         if vva is not None and vva.rmse_v1_m is not None:
             found = f"fit {known.height(vva.rmse_v1_m)} at {vva.n} checkpoints"
-        why = f"a statement needs {ENOUGH} vegetated checkpoints of known accuracy"
+        why = f"a statement needs {ASKED.checkpoints} vegetated checkpoints of known accuracy"
         return Requirement(*place, found, "cannot tell", why, STANDARD, f"{EDITION}, section 7.4")
     found = f"RMSE_V {known.height(vva.rmse_v_m)} at {vva.n} checkpoints"
     why = "the standard sets no limit any more: it is reported"
@@ -116,11 +115,11 @@ def _vegetated(known: Evidence) -> Requirement:
 
 
 def _mean_error(known: Evidence) -> Requirement:
-    limit = MEAN_SHARE * known.rmse_v_m
+    limit = ASKED.mean_share * known.rmse_v_m
     place = ("Systematic error", f"mean error within {known.height(limit)} of zero")
     nva = known.nva
-    if nva is None or nva.mean_m is None or nva.n < ENOUGH:
-        why = f"needs {ENOUGH} open checkpoints"
+    if nva is None or nva.mean_m is None or nva.n < ASKED.checkpoints:
+        why = f"needs {ASKED.checkpoints} open checkpoints"
         found = "not tested" if nva is None else known.height(nva.mean_m)
         return Requirement(*place, found, "cannot tell", why, STANDARD, f"{EDITION}, section 7.2")
     good = abs(nva.mean_m) <= limit
@@ -193,7 +192,7 @@ def _by_swath(
 
 def _distribution(known: Evidence) -> Requirement:
     edge = known.edge(2 * LEVELS[known.level].spacing_m)
-    required = f"{percent(FILLED_SHARE, 0)} of squares of {edge} hold a first return"
+    required = f"{percent(ASKED.filled_share, 0)} of squares of {edge} hold a first return"
     place = ("Spatial distribution", f"{required}{',' + _MIDDLE if known.single else ''}")
     where = (LBS, f"{COLLECTION}, Spatial Distribution and Regularity")
     if known.pulses is None or not known.pulses.squares:
@@ -203,11 +202,11 @@ def _distribution(known: Evidence) -> Requirement:
     shares = {name: one.filled / one.squares for name, one in judged.items()}
     squares = sum(one.squares for one in judged.values())
     why = f"{number(squares or known.pulses.squares)} squares, water excepted"
-    return _by_swath(known, place, (together, shares, FILLED_SHARE), percent, why, where)
+    return _by_swath(known, place, (together, shares, ASKED.filled_share), percent, why, where)
 
 
 def _voids(known: Evidence) -> Requirement:
-    edge = known.edge(4 * LEVELS[known.level].spacing_m)
+    edge = known.edge(ASKED.void_spacings * LEVELS[known.level].spacing_m)
     required = f"no empty square of {edge}, water excepted"
     place, where = ("Data voids", required), (LBS, f"{COLLECTION}, Data Voids")
     if known.pulses is None or not known.pulses.area_m2:
@@ -269,7 +268,7 @@ def _overlap(known: Evidence) -> Requirement:
 
 def _class_zero(known: Evidence) -> Requirement:
     withheld = known.withheld_unclassified
-    left = known.classes.get(NEVER_CLASSIFIED, 0) - withheld
+    left = known.classes.get(CLASS_NEVER_CLASSIFIED, 0) - withheld
     why = (
         "without a time, or outside the area: they keep the class of the input"
         if left
@@ -296,7 +295,7 @@ def _noise_classes(known: Evidence) -> Requirement:
 
 
 def _no_class_12(known: Evidence) -> Requirement:
-    held = known.classes.get(OVERLAP_CLASS, 0)
+    held = known.classes.get(CLASS_OVERLAP, 0)
     why = "no point is in it" if not held else "the input has them: they are carried along"
     return Requirement(
         "Overlap by flag", "no point in class 12", number(held) if held else "none",

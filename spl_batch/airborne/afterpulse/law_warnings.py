@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 from spl_batch.airborne.afterpulse.afterpulse_law import AfterpulseLaw, added, of_hard_planes
 from spl_batch.airborne.afterpulse.hard_surfaces import STEP_M
 from spl_batch.airborne.afterpulse.lag_counts import LAG_EDGES_M
+from spl_batch.airborne.findings import WARNED_SHARE
 from spl_batch.airborne.noise.gains import SURE_SIGMA
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.engine.findings import Finding
-
-LATE_MIN: Final = 0.02
-"""Share of afterpulses beyond the sensor's longest lag from which on it is a finding."""
 
 
 def expected_and_seen(
@@ -87,7 +85,7 @@ def disagreements(law: AfterpulseLaw, sensor: Sensor) -> tuple[Finding, ...]:
     """Findings about a flightline's law and ranging spread."""
     stated_m, late = sensor.afterpulse_lag_max_m, law.later_than(sensor.afterpulse_lag_max_m)
     found = []
-    if law.longest_m > stated_m and late >= LATE_MIN:
+    if law.longest_m > stated_m and late >= WARNED_SHARE:
         values = {
             "kind": "late", "share": late, "stated_m": stated_m, "longest_m": float(law.longest_m),
         }  # fmt: skip

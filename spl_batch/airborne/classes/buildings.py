@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from spl_batch.lattice.tables import PointTable
+from spl_batch.lattice.tables import ROWS_AT_ONCE, PointTable
 from spl_batch.lattice.tiles import Bounds, quanta
 
 Heights = NDArray[np.int64]
@@ -57,9 +57,6 @@ MOST: Final = 0.6
 
 AROUND: Final = 2
 """Cells on each side in which that share is taken [count]."""
-
-AT_ONCE: Final = 100_000
-"""Returns that are compared with planes at once [count]."""
 
 REACH_M: Final = (AROUND + 2) * max(CELLS_M)
 """How far around a return its neighbours decide [m]; the ground may lie farther."""
@@ -180,8 +177,8 @@ def _of_cells(
     planes = _planes(xyz, number, (grid.rows, grid.columns), grid.edge)
     planes = planes._replace(roof=planes.roof & (_around(below, 1) <= planes.returns))
     able, planar = np.zeros((2, len(xyz)), np.bool_)
-    for start in range(0, len(xyz), AT_ONCE):
-        part = slice(start, start + AT_ONCE)
+    for start in range(0, len(xyz), ROWS_AT_ONCE):
+        part = slice(start, start + ROWS_AT_ONCE)
         able[part], planar[part] = _planar(xyz[part], np.divmod(number[part], shape[1]), planes)
     cells = shape[0] * shape[1]
     total, flat = (

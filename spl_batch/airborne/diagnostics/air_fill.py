@@ -26,6 +26,7 @@ from scipy import ndimage
 
 from spl_batch.airborne.diagnostics.patches import WARNED_M2, largest_of_squares, patches
 from spl_batch.airborne.filter.stray_returns import CELL_M, GAP, Bare
+from spl_batch.airborne.findings import WARNED_SHARE
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.engine.findings import Finding
@@ -56,14 +57,10 @@ SEEN: Final = 0.8
 """Least share of the columns of a place in which the ground is seen."""
 
 BESIDE: Final = 3
-"""Filled places among nine [count]."""
+"""Filled places among nine [count]. Without, crowns that are clumped by 1.2 fill air."""
 
 THIN: Final = 0.1
 """Signals of a column that are fewer than this share of others in it are no surface."""
-
-FLOAT_SHARE: Final = 0.01
-"""Share of the signal of a ground cell that floats, beside ``filter.alpha``, from which on it is
-warned of."""
 
 FILLED: Final = "filled"
 """Fact of a ground cell: area [m2], lower and upper end above ground, and west, south, east and
@@ -203,7 +200,7 @@ def air_findings(done: Receipts, settings: FilterSettings) -> Iterator[Finding]:
             }  # fmt: skip
             yield Finding("N07", values, name, badness=highest_m)
     alpha = settings.alpha if settings.method == "vsaes" else 0.0
-    least = FLOAT_SHARE + alpha
+    least = WARNED_SHARE + alpha
     cells = [(name, r.facts.get(FLOATS, ())) for name, r in done.get("ground", {}).items()]
     off = [(name, fact) for name, fact in cells if len(fact) > 2 and fact[0] > least * fact[1]]
     if sum(fact[2] for _, fact in off) < WARNED_M2:

@@ -7,14 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.diagnostics.patches import WARNED_M2, patches
+from spl_batch.airborne.findings import WARNED_SHARE
 from spl_batch.airborne.products.surface_rasters import OFF_M
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.run_record import Receipts
 from spl_batch.lattice.tiles import Bounds
-
-SHARE: Final = 0.03
-"""Share of the terrain from which on a survey is warned of."""
 
 FACT: Final = "unsure"
 """Fact of a ground cell: cells with a height, those that are not known well [count], and area [m2]
@@ -47,7 +45,7 @@ def terrain_findings(done: Receipts) -> Iterator[Finding]:
     if share is None or not places:
         return
     area_m2, _, box = max(places)
-    if share > SHARE or area_m2 >= WARNED_M2:
+    if share > WARNED_SHARE or area_m2 >= WARNED_M2:
         values = {"share": share, "sigma_m": OFF_M, "area_m2": area_m2}
         yield Finding("G01", values, place=box)
 

@@ -22,7 +22,7 @@ from scipy.sparse import csc_array, csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
-from spl_batch.airborne.lines.pair_table import HUBER, OWN_M, StripPair
+from spl_batch.airborne.lines.pair_table import HUBER, OWN_M, ROUNDS, StripPair
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.report.parts import STRICT, Measured, Number
 
@@ -31,9 +31,6 @@ SURE: Final = 2.0
 
 MOST_M: Final = 2.0
 """Longest shift that is applied [m]."""
-
-ROUNDS: Final = 10
-"""Rounds of weights [count]."""
 
 KEPT: Final = "kept"
 ALONE: Final = "not compared"

@@ -6,7 +6,7 @@ an alignment leaves follows from the same patches.
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,9 +39,6 @@ from spl_batch.lattice.tiles import quanta
 
 MAP_CELLS = 500
 """Cells of the map of differences along its longer side, at most [count]."""
-
-NEXT_TO: Final = 0.1
-"""Part of the larger of two horizontal differences below which the smaller is not reported."""
 
 
 def strip_patches(args: Mapping[str, Any], context: Context) -> Produced:
@@ -210,10 +207,8 @@ def _parts(pair: StripPair) -> Iterator[tuple[float, str]]:
         yield abs(pair.up_m), "higher" if pair.up_m > 0 else "lower"
     if pair.is_off_horizontally:
         ways = ((pair.east_m or 0.0, "east", "west"), (pair.north_m or 0.0, "north", "south"))
-        least = NEXT_TO * max(abs(way_m) for way_m, *_ in ways)
-        for way_m, ahead, back in ways:
-            if abs(way_m) >= least:
-                yield abs(way_m), f"farther {ahead if way_m > 0 else back}"
+        for way_m, there, opposite in ways:
+            yield abs(way_m), f"farther {there if way_m > 0 else opposite}"
 
 
 def stay_findings(lines: Sequence[AlignedLine]) -> Iterator[Finding]:

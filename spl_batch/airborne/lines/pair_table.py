@@ -17,7 +17,8 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 from scipy.special import ndtr, stdtrit
 
-from spl_batch.airborne.lines.patches import FLAT, Patches, rows_of
+from spl_batch.airborne.lines.patches import Patches, rows_of
+from spl_batch.airborne.settings.standards import ASKED
 from spl_batch.airborne.store.flown_lines import LINES
 from spl_batch.engine.report.parts import STRICT, Count, Measured, Number
 
@@ -33,11 +34,9 @@ BIWEIGHT: Final = 4.685
 HUBER: Final = 1.345
 """Huber's constant [standard deviations]."""
 
-FIRST_ROUNDS: Final = 10
-"""Rounds with Huber's weights [count], which steep patches need before a shift is known."""
-
-ROUNDS: Final = 20
-"""Rounds of weights [count]; they stand still after five or so of each kind."""
+ROUNDS: Final = 10
+"""Rounds of weights of each kind [count], Huber's first, which steep patches need before a shift is
+known. They stand still after five or so."""
 
 NEIGHBOURS_M: Final = 100.0
 """Patches in one square of this edge may differ for the same reason, as a turn of the aircraft or a
@@ -45,9 +44,6 @@ slope of the terrain, and count as one witness [m]."""
 
 DETERMINED_M: Final = 0.1
 """Standard deviation of a horizontal difference, above which it is not reported [m]."""
-
-UNKNOWNS: Final = 3
-"""East, north and up: so many squares are needed to find them [count]."""
 
 FEW_M: Final = 0.2
 """Horizontal difference that is reported however few squares there are: on some few, aligned
@@ -107,7 +103,7 @@ class StripPair:
         if self.horizontal_sd_m is None:
             return False
         # Standard deviations that hold what three of a normal distribution hold.
-        freedom = self.squares - UNKNOWNS
+        freedom = self.squares - 3  # east, north and up are found
         sure_sd = float(stdtrit(freedom, ndtr(3.0))) if freedom > 0 else np.inf
         sure = min(sure_sd * self.horizontal_sd_m, FEW_M)
         return self.horizontal_m > max(self.noise_m, 3 * self.horizontal_sd_m, sure)
@@ -136,7 +132,7 @@ def pair_table(patches: Patches, names: Mapping[int, str]) -> list[StripPair]:
 def _difference(first: str, second: str, patches: Patches) -> StripPair:
     noise = float(np.quantile(patches["thickness"], QUARTER))
     slope = np.hypot(patches["east"], patches["north"])
-    flat = patches["rise"][(slope <= FLAT) & (patches["thickness"] <= TWICE * noise)]
+    flat = patches["rise"][(slope <= ASKED.flat) & (patches["thickness"] <= TWICE * noise)]
     area = patches["edge_m"] ** 2
     x_m, y_m = (float(np.average(patches[axis], weights=area)) for axis in "xy")
     return StripPair(
@@ -189,13 +185,13 @@ def _robust(
     """Unknowns by reweighted least squares, and their covariance; None if not determined."""
     found = np.zeros(design.shape[1])
     found[-1] = np.median(rise)
-    for number in range(ROUNDS):
+    for number in range(2 * ROUNDS):
         left = rise - design @ found
         # What the slopes' noise adds to the residual of a patch for the shift that was found.
         spread = np.sqrt(variance + np.einsum("i,pij,j->p", found, noise, found))
         ratio = left / spread
         scale = max(1.4826 * float(np.median(np.abs(ratio))), 1e-6)
-        if number < FIRST_ROUNDS:
+        if number < ROUNDS:
             given = 1 / np.maximum(np.abs(ratio) / (HUBER * scale), 1.0)
         else:
             given = np.clip(1 - (ratio / (BIWEIGHT * scale)) ** 2, 0.0, None) ** 2

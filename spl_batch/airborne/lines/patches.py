@@ -47,10 +47,6 @@ SPREAD: Final = 0.15
 """Standard deviation of a flightline's returns in each direction, at least [edges of the patch]:
 0.29 where they lie evenly."""
 
-FLAT: Final = 0.176
-"""Slope up to which a patch counts for differences of heights: 10 degrees, as the USGS Lidar Base
-Specification has it [rise/run]."""
-
 MOST: Final = 256
 """Patches of a pair that a ground cell keeps [count]: more make it no better known."""
 

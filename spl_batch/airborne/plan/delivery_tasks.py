@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import shapely
 
-from spl_batch.airborne.accuracy.evidence import LEVELS
 from spl_batch.airborne.catalogue import REPROJECTED
 from spl_batch.airborne.context import reprojection, tiles_follow
 from spl_batch.airborne.plan.flightlines import swath_totals
@@ -18,6 +17,7 @@ from spl_batch.airborne.plan.space_tasks import aligned, knows_reflectance, poin
 from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_bounds
 from spl_batch.airborne.plan.task_memory import refusal
 from spl_batch.airborne.products.product_table import ABOVE_GEOID, HEIGHTS, MOST_PIXELS, products
+from spl_batch.airborne.settings.standards import LEVELS
 from spl_batch.airborne.tasks.delivered_points import terrain_margin_q
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.tasks.input_changes import stamp_if_there

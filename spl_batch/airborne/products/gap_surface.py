@@ -46,7 +46,7 @@ _STIFFNESS = 1.0
 twice 123 + 24 cells of the DTM."""
 
 _BLOCKS_LEAST = 6
-"""Blocks that a plate is fitted to, at least [count]."""
+"""Blocks that a plate is fitted to, at least [count]. Half and twice move nothing."""
 
 _CELLS = 2.0
 """Cells with ground in a block, on the average; in sparser clouds gaps are everywhere [count]."""

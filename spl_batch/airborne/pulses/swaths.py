@@ -29,16 +29,15 @@ from scipy import ndimage
 
 from spl_batch.airborne.products.cell_values import at_centres, held, owned, shape_of
 from spl_batch.airborne.products.wide_voids import SQUARES
+from spl_batch.airborne.settings.standards import ASKED, LEVELS
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.row_order import distinct
 from spl_batch.lattice.tiles import Bounds, grow, quanta
 
-SPACINGS: Final[Mapping[str, int]] = {"QL1": 350, "QL2": 710, "QL3": 1410}
-"""Aggregate nominal pulse spacing of a quality level, that of QL0 is QL1's [quanta]; USGS Lidar
-Base Specification, table of nominal pulse spacing and density."""
-
-VOID_SPACINGS: Final = 4
-"""Edge of a data void [spacings]."""
+SPACINGS: Final[Mapping[str, int]] = {
+    level.spacing: quanta(level.spacing_m) for level in LEVELS.values()
+}
+"""Aggregate nominal pulse spacing of a quality level, that of QL0 is QL1's [quanta]."""
 
 EDGE_Q: Final = quanta(5.0)
 """Edge of a square [quanta]: more than twice the spacing of each quality level, so that a swath
@@ -80,10 +79,10 @@ def coverage(
     cells of the region that count, row 0 southernmost.
     """
     pairs, places = owned(core, 2 * spacing), owned(core, spacing)
-    wide = grow(places, VOID_SPACINGS)
-    window = np.ones((VOID_SPACINGS, VOID_SPACINGS), np.bool_)
+    wide = grow(places, ASKED.void_spacings)
+    window = np.ones((ASKED.void_spacings, ASKED.void_spacings), np.bool_)
     void = ndimage.binary_opening(~held(x, y, wide, spacing), window)
-    inner = slice(VOID_SPACINGS, -VOID_SPACINGS)
+    inner = slice(ASKED.void_spacings, -ASKED.void_spacings)
     there = at_centres(counted, core, pairs, 2 * spacing)
     beside = at_centres(counted, core, places, spacing)
     filled, empty = there & held(x, y, pairs, 2 * spacing), beside & void[inner, inner]

@@ -15,7 +15,6 @@ from spl_batch.airborne.accuracy.checkpoint_errors import (
     statement,
 )
 from spl_batch.airborne.accuracy.evidence import (
-    LEVELS,
     Evidence,
     PulseTotals,
     SwathDifferences,
@@ -34,6 +33,7 @@ from spl_batch.airborne.report.model import (
     Swath,
 )
 from spl_batch.airborne.settings import ClassSettings
+from spl_batch.airborne.settings.standards import LEVELS
 from spl_batch.airborne.tasks import pulses
 from spl_batch.airborne.tasks.reference import checkpoint_results
 from spl_batch.constants import FOOT_M, QUANTUM_M

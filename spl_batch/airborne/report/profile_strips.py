@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.accuracy.differences import TALL_M
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.report.plots import Profile
 from spl_batch.airborne.store.flown_lines import read_shifts
@@ -22,11 +23,8 @@ WIDTH_M = 3.0
 _TALLEST_M = 30.0
 """Heights count up to this: one mast is no reason [m]."""
 
-_LOW_M = 0.5
-"""Surfaces up to this are the ground or lie on it [m]."""
-
 _GROUND_SHARE = 0.2
-"""Part of the covered cells that such surfaces are, at which a strip shows enough of the ground."""
+"""Part of the covered cells that are the ground or lie on it, at which a strip shows enough."""
 
 
 def read_strip(
@@ -62,7 +60,7 @@ def tallest_strip(height: RasterPart) -> Bounds:
     """
     known = height.values > NODATA
     capped = np.where(known, np.clip(height.values.astype(np.float64), 0.0, _TALLEST_M), 0.0)
-    cover, low = (strip_sums(height, some) for some in (known, known & (capped <= _LOW_M)))
+    cover, low = (strip_sums(height, some) for some in (known, known & (capped <= TALL_M)))
     open_share = np.minimum(low / np.maximum(cover, 1.0) / _GROUND_SHARE, 1.0)
     return best_strip(height, cover + strip_sums(height, capped) * open_share)[0]
 

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 from spl_batch.airborne.report.model import ClientTile, Counts, Report
+from spl_batch.airborne.settings.standards import LEVELS
 from spl_batch.engine.report.number_format import (
     as_ascii,
     number,
@@ -15,10 +16,6 @@ from spl_batch.engine.report.number_format import (
 from spl_batch.engine.report.parts import Statistics
 from spl_batch.engine.report.verdict import Tone, Verdict, ending_rows, failure_verdict
 from spl_batch.errors import named
-
-USGS_LIMITS: Final = ((0.05, "QL0"), (0.10, "QL1 and QL2"), (0.20, "QL3"))
-"""Largest vertical RMSE of each quality level, non-vegetated [m]; USGS Lidar Base
-Specification, table of absolute vertical accuracy. Pulse density is judged apart."""
 
 OPEN_SURFACES: Final = ("open_ground", "open", "bare_ground", "ground", "all")
 """Classes that the terrain verdict is taken from; the first one that is there."""
@@ -167,14 +164,16 @@ def _accuracy_verdict(report: Report) -> Verdict:
         return Verdict(tone, f"{why[0].upper()}{why[1:]}: accuracy is not known.")
     rmse = terrain[1].rmse or 0.0
     opening = f"DTM {terrain_accuracy(report)}, against linear-mode lidar and not checkpoints: "
-    for limit, level in USGS_LIMITS:
+    limits = sorted({level.rmse_v_m for level in LEVELS.values()})
+    for limit in limits:
         if rmse <= limit:
+            allow = [name for name, level in LEVELS.items() if level.rmse_v_m == limit]
             return Verdict(
                 "good",
-                f"{opening}within the {report.survey.units.height(limit)} that USGS {level} "
-                "allows at checkpoints.",
+                f"{opening}within the {report.survey.units.height(limit)} that USGS "
+                f"{' and '.join(allow)} allows at checkpoints.",
             )
-    least = report.survey.units.height(USGS_LIMITS[-1][0])
+    least = report.survey.units.height(limits[-1])
     return Verdict("attention", f"{opening}above the {least} that USGS QL3 allows at checkpoints.")
 
 

@@ -32,39 +32,14 @@ from spl_batch.constants import CLASS_BUILDING, CLASS_GROUND, CLASS_UNCLASSIFIED
 from spl_batch.formats.files.atomic import replacing, write_bytes
 from spl_batch.formats.rasters.geotiff import write_cog
 
-TRAJECTORY_HZ = 200.0
-"""Records per second of the trajectory [Hz]."""
+AT_ONCE: Final = 250_000
+"""Pulses of the reference, or cells of the rasters, that are made at once [count]."""
 
-REFLECTANCE_SAMPLES = 4
+TRIED: Final = 100
+"""Locations that are tried for each checkpoint on open ground [count]."""
+
+REFLECTANCE_SAMPLES: Final = 4
 """Locations along one side of a cell whose reflectance is averaged [count]."""
-
-PULSES_AT_ONCE = 250_000
-"""Pulses of the reference that are written at once [count]."""
-
-ROWS_AT_ONCE = 64
-"""Rows of the rasters that are made at once [count]."""
-
-LINEAR_SPOT_M = 0.1
-"""Spread of the reference's footprint [m]."""
-
-
-CHECKPOINTS: Final = {"open": 40, "vegetated": 32}
-"""Checkpoints of each kind, as far as the scene has room [count]."""
-
-CHECKPOINTS_TRIED: Final = 4000
-"""Locations that are tried [count]."""
-
-CHECKPOINT_ACCURACY_M: Final = 0.015
-"""Vertical accuracy of the field survey, one sigma [m]."""
-
-OPEN_M: Final = 0.05
-"""What stands on open ground is no higher [m]."""
-
-CROWN_M: Final = 2.0
-"""What stands on vegetated ground is no lower [m]."""
-
-INSIDE_M: Final = 5.0
-"""Distance to the scene's edge, to water and to houses, at the least [m]."""
 
 
 def deliver(
@@ -108,11 +83,11 @@ def _noise_density(scene: Scene, grid: NoiseGrid, path: Path) -> None:
 
 
 def _trajectory(scene: Scene, passes: list[Pass], out: Path) -> None:
-    records, tables = [], []
+    records, tables, hz = [], [], scene.delivery.trajectory_hz
     for run in passes:
         first = math.floor(run.start_s) - 1
         last = math.ceil(run.middle_s + run.half_s) + 3
-        time_s = first + np.arange(round((last - first) * TRAJECTORY_HZ) + 1) / TRAJECTORY_HZ
+        time_s = first + np.arange(round((last - first) * hz) + 1) / hz
         xyz = run.position(time_s) + np.array([*scene.origin_m[:2], 0.0])
         tables.append(np.column_stack([time_s, xyz]))
         records.append(sbet_records(scene.crs, time_s, xyz, run.attitude(time_s)))
@@ -125,16 +100,16 @@ def _trajectory(scene: Scene, passes: list[Pass], out: Path) -> None:
 
 def _reference(scene: Scene, arrays: SceneArrays, path: Path) -> None:
     """A linear-mode cloud: one source of chance gives all places, all returns, then all noise."""
-    rng = scene.chance(4)
-    n = round(scene.reference.density_per_m2 * scene.extent_m[0] * scene.extent_m[1])
+    rng, made = scene.chance(4), scene.reference
+    n = round(made.density_per_m2 * scene.extent_m[0] * scene.extent_m[1])
     xy = rng.random((n, 2)) * scene.extent_m
     above = float(arrays.ground.z.max()) + 500.0
-    z, kind = linear_returns(rng, arrays, xy, above, LINEAR_SPOT_M)
+    z, kind = linear_returns(rng, arrays, xy, above, made.spot_m, made.seen_through, made.seen_wire)
     header = las_header(scene.crs, scene.origin_m, scene.acquisition.start_s)
     with replacing(path) as part, cloud_writer(part, header) as cloud:
-        for first in range(0, n, PULSES_AT_ONCE):
-            some = slice(first, min(first + PULSES_AT_ONCE, n))
-            noisy = z[some] + scene.reference.noise_m * rng.standard_normal(z[some].shape)
+        for first in range(0, n, AT_ONCE):
+            some = slice(first, min(first + AT_ONCE, n))
+            noisy = z[some] + made.noise_m * rng.standard_normal(z[some].shape)
             add_points(cloud, _reference_points(scene, first, xy[some], noisy, kind[some]))
 
 
@@ -168,20 +143,24 @@ def _reference_points(
 
 def _checkpoints(scene: Scene, arrays: SceneArrays, layout: Layout, path: Path) -> None:
     """Checkpoints of a field survey: true ground, open and below crowns, with a field's error."""
-    rng = scene.chance(8)
-    size = np.array(scene.extent_m)
-    xy = INSIDE_M + rng.random((CHECKPOINTS_TRIED, 2)) * np.maximum(size - 2 * INSIDE_M, 0.0)
-    error_m = CHECKPOINT_ACCURACY_M * rng.standard_normal(CHECKPOINTS_TRIED)
+    asked, rng = scene.reference.checkpoints, scene.chance(8)
+    size, tried = np.array(scene.extent_m), TRIED * max(asked.open, 1)
+    room = np.maximum(size - 2 * asked.margin_m, 0.0)
+    xy = asked.margin_m + rng.random((tried, 2)) * room
+    error_m = asked.accuracy_m * rng.standard_normal(tried)
     ground, surface, _ = surfaces_at(arrays, *np.ascontiguousarray(xy.T))
-    free = ~_built(scene, layout, xy)
-    kinds = {"open": surface - ground <= OPEN_M, "vegetated": surface - ground >= CROWN_M}
+    free, cover_m = ~_built(scene, layout, xy), surface - ground
+    kinds = (
+        ("open", asked.open, cover_m <= asked.open_below_m),
+        ("vegetated", asked.vegetated, cover_m >= asked.vegetated_above_m),
+    )
     lines = ["id,x,y,z,surface,accuracy_m"]
-    for name, there in kinds.items():
-        for number, k in enumerate(np.flatnonzero(free & there)[: CHECKPOINTS[name]], start=1):
+    for name, most, there in kinds:
+        for number, k in enumerate(np.flatnonzero(free & there)[:most], start=1):
             x, y = xy[k] + scene.origin_m[:2]
             z = ground[k] + error_m[k]
             lines.append(
-                f"{name[0].upper()}{number:02d},{x:.3f},{y:.3f},{z:.3f},{name},{CHECKPOINT_ACCURACY_M}"
+                f"{name[0].upper()}{number:02d},{x:.3f},{y:.3f},{z:.3f},{name},{asked.accuracy_m}"
             )
     write_bytes(path, ("\n".join(lines) + "\n").encode())
 
@@ -191,7 +170,7 @@ def _built(scene: Scene, layout: Layout, xy: NDArray[np.float64]) -> NDArray[np.
     shapes = [*layout.footprints, *(shapely.Polygon(w.ring_m) for w in scene.water)]
     if not shapes:
         return np.zeros(len(xy), np.bool_)
-    taken = shapely.union_all(shapes).buffer(INSIDE_M)
+    taken = shapely.union_all(shapes).buffer(scene.reference.checkpoints.margin_m)
     found: NDArray[np.bool_] = shapely.contains_xy(taken, xy[:, 0], xy[:, 1])
     return found
 
@@ -205,9 +184,9 @@ def _rasters(scene: Scene, arrays: SceneArrays, folder: Path) -> None:
     shape = north - south, east - west
     found = np.empty((3, *shape), np.float32)
     corner = west - scene.origin_m[0], north - scene.origin_m[1]
-    columns = np.arange(shape[1])
-    for first in range(0, shape[0], ROWS_AT_ONCE):
-        rows = np.arange(first, min(first + ROWS_AT_ONCE, shape[0]))
+    columns, at_once = np.arange(shape[1]), max(AT_ONCE // shape[1], 1)
+    for first in range(0, shape[0], at_once):
+        rows = np.arange(first, min(first + at_once, shape[0]))
         found[:2, rows] = _surfaces(arrays, corner, columns, rows, (0.5, 0.5))[:2]
         total, side = np.zeros((len(rows), shape[1])), REFLECTANCE_SAMPLES
         for k in range(side**2):

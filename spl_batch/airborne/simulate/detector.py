@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from spl_batch.airborne.simulate.scene.ray_trace import KIND_AFTERPULSE, KIND_BACKGROUND
 from spl_batch.numerics.compiled import njit
 
-NO_PARENT: Final = 255
+NO_PARENT: Final = int(np.iinfo(np.uint8).max)
 """Value of ``parent`` for returns that are no afterpulse."""
 
 

@@ -25,9 +25,6 @@ from spl_batch.numerics.attitude import rotations
 CHUNK_S = 0.25
 """Flight time that is simulated at once, on an absolute grid [s]; it bounds the memory."""
 
-GATE_S = 1.0
-"""Flight time over which the range gate stands still, on an absolute grid [s]."""
-
 
 def _wave(time_s: NDArray[np.float64], period_s: float, phase: float) -> NDArray[np.float64]:
     wave: NDArray[np.float64] = np.sin(2 * np.pi * time_s / period_s + phase)
@@ -209,11 +206,16 @@ def ground_points(
     return origin + range_m[:, None] * beam, range_m
 
 
+def gate_of_chunk(run: Pass, index: int) -> int:
+    """Number of the range gate's setting in a chunk of a pass, from its start."""
+    return int(index * CHUNK_S / run.scene.acquisition.gate_moves_s)
+
+
 def gate_centres(run: Pass) -> dict[int, float]:
-    """Mean ground range of every second since the pass's start, which the gate is set to [m]."""
+    """Mean ground range that each setting of the gate is centred on [m]."""
     sums: dict[int, tuple[float, int]] = {}
     for piece in run.chunks:
-        second = int(piece.index * CHUNK_S / GATE_S)
-        total, count = sums.get(second, (0.0, 0))
-        sums[second] = (total + float(piece.ground_range_m.sum()), count + len(piece.shot))
-    return {second: total / count for second, (total, count) in sums.items()}
+        setting = gate_of_chunk(run, piece.index)
+        total, count = sums.get(setting, (0.0, 0))
+        sums[setting] = (total + float(piece.ground_range_m.sum()), count + len(piece.shot))
+    return {setting: total / count for setting, (total, count) in sums.items()}

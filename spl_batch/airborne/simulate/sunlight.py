@@ -7,7 +7,7 @@ level ground and no shadows. Light is that of the highest surface at a place.
 """
 
 import math
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +16,6 @@ from spl_batch.airborne.simulate.scene.beam_layers import look, surfaces_at
 from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays, bilinear
 from spl_batch.airborne.simulate.scene.scene_file import Scene
 from spl_batch.numerics.compiled import njit
-
-BRIGHTEST: Final = 2.0
-"""Most that a slope gains over level ground."""
 
 
 def lit(scene: Scene, arrays: SceneArrays) -> SceneArrays:
@@ -48,7 +45,7 @@ def sunlight(surface: NDArray[np.float64], step_m: float, scene: Scene) -> NDArr
     rise_y, rise_x = np.gradient(surface, step_m)
     along = (rise_x * east + rise_y * north) * math.tan(zenith)
     cosine = (1.0 - along) / np.sqrt(1.0 + rise_x**2 + rise_y**2)
-    sunny = np.clip(cosine, 0.0, BRIGHTEST)
+    sunny = np.clip(cosine, 0.0, sky.brightest)
     rows, columns = np.indices(surface.shape)
     slope = 1.0 / max(math.tan(zenith), 1e-6)
     for k in range(1, math.ceil(float(np.ptp(surface)) / slope / step_m) + 1):

@@ -21,11 +21,10 @@ from spl_batch.airborne.simulate.companion_files import deliver
 from spl_batch.airborne.simulate.detector import Receiver
 from spl_batch.airborne.simulate.file_writers import PointFiles
 from spl_batch.airborne.simulate.flight import (
-    CHUNK_S,
-    GATE_S,
     Chunk,
     Pass,
     gate_centres,
+    gate_of_chunk,
     make_passes,
 )
 from spl_batch.airborne.simulate.scene.beam_layers import layer_room
@@ -142,7 +141,7 @@ def _fly(rig: _Rig, run: Pass, files: PointFiles) -> Iterator[tuple[int, int]]:
     buffer = np.empty(max(BUFFER_POINTS, 2 * room * len(rig.optics.gain)), POINT)
     for piece in run.chunks:
         gate = rig.scene.gate_of(run.flight)
-        centre = centres[int(piece.index * CHUNK_S / GATE_S)]
+        centre = centres[gate_of_chunk(run, piece.index)]
         shots = _shots(rig, run, piece, centre - gate * rig.scene.acquisition.gate_above)
         rng = rig.scene.chance(3, run.number, piece.index)
         first = 0

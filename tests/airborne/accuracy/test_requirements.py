@@ -5,9 +5,10 @@ from dataclasses import replace
 import pytest
 
 from spl_batch.airborne.accuracy.checkpoint_errors import CheckpointError, at_checkpoints
-from spl_batch.airborne.accuracy.evidence import LEVELS, Evidence, PulseTotals, SwathDifferences
+from spl_batch.airborne.accuracy.evidence import Evidence, PulseTotals, SwathDifferences
 from spl_batch.airborne.accuracy.requirements import answers, requirements
 from spl_batch.airborne.pulses.swaths import SwathTotals
+from spl_batch.airborne.settings.standards import LEVELS
 from spl_batch.engine.report.number_format import as_ascii
 from spl_batch.formats.units import Units
 

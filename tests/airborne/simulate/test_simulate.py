@@ -211,8 +211,7 @@ def test_the_workflow_is_valid_and_finds_its_files(survey):
 def test_the_same_seed_gives_the_same_bytes_however_much_is_made_at_once(
     survey, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(companion_files, "PULSES_AT_ONCE", 7001)
-    monkeypatch.setattr(companion_files, "ROWS_AT_ONCE", 7)
+    monkeypatch.setattr(companion_files, "AT_ONCE", 701)
     scene = preset_scene("tiny")
     simulate(scene, tmp_path / "same")
     clouds = ("flightlines/line_01.laz", "reference_lml.laz", "truth/line_02.parquet")

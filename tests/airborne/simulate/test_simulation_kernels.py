@@ -44,7 +44,7 @@ def bare(z, kind=ray_trace.KIND_GROUND, ponds=(), steep_top=-math.inf):
     shape = z.shape
     return ray_trace.Ground(
         z, np.full(shape, 0.2), np.full(shape, kind, np.uint8), np.array([0.0, 0.0, 1.0]),
-        np.zeros(shape, np.uint8), np.array(ponds, np.float64).reshape(-1, 3), steep_top,
+        np.zeros(shape, np.uint8), np.array(ponds, np.float64).reshape(-1, 4), steep_top,
     )  # fmt: skip
 
 
@@ -308,7 +308,7 @@ def test_a_tail_takes_its_share_of_the_lags():
 
 
 def test_clear_water_is_a_surface_a_column_and_a_bottom():
-    ground = bare(np.full((20, 20), 8.0), ray_trace.KIND_BOTTOM, [(10.0, 0.3, 0.04)])
+    ground = bare(np.full((20, 20), 8.0), ray_trace.KIND_BOTTOM, [(10.0, 0.3, 0.04, 0.02)])
     scene = ray_trace.SceneArrays(
         ground, np.zeros((0, 6, 4)), np.zeros((0, 4)), np.zeros((0, 8)), np.zeros((0, 10)),
         np.array([0.0, 0.0, 20.0]), np.zeros((1, 2), np.int64), np.zeros(0, np.int64),

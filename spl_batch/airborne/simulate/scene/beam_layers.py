@@ -28,17 +28,8 @@ from spl_batch.numerics.compiled import njit
 LAYER_FIELDS = 5
 """Columns of a layer: enter, leave [m], share intercepted, reflectance, kind."""
 
-SURFACE_SHARE = 0.02
-"""Share of a beam that a clear water's surface turns back: Fresnel's, near the vertical."""
-
 ABOVE_M: Final = 1e4
 """Height to look from [m]."""
-
-SEE_THROUGH: Final = 0.15
-"""Share of a pulse that must be left for the hard surface to be recorded."""
-
-WIRE_SHARE: Final = 0.02
-"""Share of a pulse that a wire must catch to be recorded."""
 
 
 @njit()
@@ -67,8 +58,8 @@ def _add_water(
     top = (pond[0] - o[2]) / d[2]
     if top >= hard:
         return n
-    rho = pond[2] / SURFACE_SHARE
-    n = _insert(layers, n, top, top, SURFACE_SHARE, rho, float(KIND_WATER))
+    rho = pond[2] / pond[3]
+    n = _insert(layers, n, top, top, pond[3], rho, float(KIND_WATER))
     share = 1.0 - math.exp(-2.0 * pond[1] * (hard - top))
     return _insert(layers, n, top, hard, share, 0.0, float(KIND_WATER))
 
@@ -245,11 +236,14 @@ def linear_returns(
     xy: NDArray[np.float64],
     above_m: float,
     spot_m: float,
+    seen_through: float,
+    seen_wire: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
     """Up to two returns of each vertical pulse: one of a layer, one of the hard surface.
 
     The pulse is infrared: the surface of water is as far as it gets. Pulses go down at ``xy``
-    (n, 2). Heights [m], NaN where there is no return, and what gave them: (n, 2) each.
+    (n, 2). ``seen_through, seen_wire``: shares of a pulse at which the hard surface and a wire are
+    recorded, 0..1. Heights [m], NaN where there is no return, and what gave them: (n, 2) each.
     """
     z, kind, layers = np.empty(xy.shape), np.zeros(xy.shape, np.uint8), empty_layers(scene)
     origin, down = np.empty(3), np.array([0.0, 0.0, -1.0])
@@ -264,7 +258,7 @@ def linear_returns(
                 break
             share = layers[k, 2]
             thin = layers[k, 1] == layers[k, 0]
-            seen = share > WIRE_SHARE if thin else rng.random() < share
+            seen = share > seen_wire if thin else rng.random() < share
             if seen and np.isnan(z[p, 0]):
                 at = layers[k, 0]
                 if not thin:
@@ -272,6 +266,6 @@ def linear_returns(
                 z[p, 0] = above_m - at
                 kind[p, 0] = int(layers[k, 4])
             left *= 1 - share
-        z[p, 1] = above_m - hard if left > SEE_THROUGH else np.nan
+        z[p, 1] = above_m - hard if left > seen_through else np.nan
         kind[p, 1] = int(hard_kind)
     return z, kind

@@ -17,7 +17,7 @@ from spl_batch.airborne.simulate.scene.ray_trace import (
     bilinear,
 )
 from spl_batch.airborne.simulate.scene.scene_file import Bridge, Building, Scene, Wires
-from spl_batch.airborne.simulate.scene.terrain import APRON_M, make_ground
+from spl_batch.airborne.simulate.scene.terrain import make_ground
 
 CELL_M = 4.0
 """Edge of the cells that list objects [m]."""
@@ -299,7 +299,7 @@ def _cell_lists(
     scene: Scene, objects: list[Listed], floor_m: float, lean: float
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
     """Which objects a ray may meet whose ground hit, no lower than the floor, lies in a cell."""
-    corner = -math.ceil(APRON_M / CELL_M) * CELL_M
+    corner = -math.ceil(scene.terrain.apron_m / CELL_M) * CELL_M
     nx, ny = (math.ceil((size - 2 * corner) / CELL_M) for size in scene.extent_m)
     cell = np.array([corner, corner, CELL_M])
     if not objects:

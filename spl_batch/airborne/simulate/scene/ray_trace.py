@@ -55,7 +55,8 @@ class Ground(NamedTuple):
     kind: NDArray[np.uint8]
     grid: NDArray[np.float64]  #: (3,): x and y of the first node, and the step [m].
     pond_at: NDArray[np.uint8]  #: (ny, nx): row of ``ponds`` at nodes of kind ``KIND_BOTTOM``.
-    #: (p, 3): height of clear water [m], its attenuation [1/m], reflectance of its surface.
+    #: (p, 4): height of clear water [m], its attenuation [1/m], reflectance of its surface, share
+    #: of a beam that this turns back.
     ponds: NDArray[np.float64]
     #: Highest ground where some is so steep that a ray may meet it twice [m]; -inf without.
     steep_top: float = -math.inf

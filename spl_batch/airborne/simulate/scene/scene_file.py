@@ -66,6 +66,9 @@ class Terrain(Section):
     reflectance_m: Positive = Field(40.0, description="Size of brighter and darker fields [m].")
     parcel_m: Positive | None = Field(None, description="Size of parcels of one reflectance [m].")
     grid_m: Positive = Field(1.0, description="Node spacing of the ground [m].")
+    apron_m: Positive = Field(
+        60.0, description="Ground beyond the extent, so that slanted beams meet it [m]."
+    )
     landforms: tuple[Landform, ...] = Field((), description="Plateaus, ridges, valleys.")
 
 
@@ -146,9 +149,17 @@ class Water(Section):
         0.15, description="Diffuse attenuation of clear water, one way [1/m]."
     )
     bottom_reflectance: Share = Field(0.15, description="Of its bottom.")
-    waves_m: NotNegative = Field(
-        0.0, description="Spread of heights of opaque water, standing waves of some 10 m [m]."
+    surface_share: float = Field(
+        0.02,
+        gt=0,
+        le=1,
+        description="Of a beam that the surface of clear water turns back: Fresnel's, near the "
+        "vertical.",
     )
+    waves_m: NotNegative = Field(
+        0.0, description="Spread of heights of opaque water with standing waves [m]."
+    )
+    wavelength_m: Positive = Field(10.0, description="Of these waves [m].")
 
     @model_validator(mode="after")
     def _opaque_with_waves(self) -> "Water":
@@ -210,6 +221,9 @@ class Sky(Section):
         "to the sun, cast shadows; one rate for all without.",
     )
     skylight: Share = Field(0.15, description="Of the light, from the sky where no sun shines.")
+    brightest: float = Field(
+        2.0, ge=1, description="Sunlight of a slope over that of level ground, at most [1]."
+    )
     extinction_per_m: NotNegative = Field(1.0e-4, description="Atmospheric, at ground [1/m].")
     scale_height_m: Positive = Field(8000.0, description="Of the atmosphere [m].")
     variation: float = Field(0.3, ge=0, lt=1, description="Relative swing along a flightline.")
@@ -227,6 +241,9 @@ class Acquisition(Section):
     prf_hz: Positive = Field(60_000.0, description="Pulse repetition frequency [Hz].")
     gate_m: Positive = Field(300.0, description="Slant length of the range gate [m].")
     gate_above: float = Field(0.5, gt=0, lt=1, description="Share of the gate above ground.")
+    gate_moves_s: float = Field(
+        1.0, ge=0.25, description="Flight time over which the gate stands still [s]."
+    )
     dead_channels: tuple[int, ...] = Field((), description="Channels that see nothing.")
     weak_channels: dict[int, Share] = Field({}, description="Channel: relative sensitivity.")
     gain_spread: float = Field(0.05, ge=0, lt=0.3, description="Of the channels' sensitivity.")
@@ -267,11 +284,32 @@ class Detector(Section):
     )
 
 
+class Checkpoints(Section):
+    """Points of a field survey, as far as the scene has room."""
+
+    open: int = Field(40, ge=0, description="On open ground [count].")
+    vegetated: int = Field(32, ge=0, description="Below crowns [count].")
+    accuracy_m: Positive = Field(0.015, description="Vertical accuracy, one sigma [m].")
+    open_below_m: NotNegative = Field(0.05, description="Highest cover of open ground [m].")
+    vegetated_above_m: Positive = Field(2.0, description="Lowest cover of vegetated ground [m].")
+    margin_m: NotNegative = Field(
+        5.0, description="Distance to the scene's edge, water and houses, at least [m]."
+    )
+
+
 class Reference(Section):
-    """Linear-mode cloud to compare with."""
+    """Linear-mode cloud and checkpoints to compare with."""
 
     density_per_m2: Positive = Field(10.0, description="First returns [1/m2].")
     noise_m: NotNegative = Field(0.03, description="Spread of heights [m].")
+    spot_m: Positive = Field(0.1, description="Spread of a pulse on the ground [m].")
+    seen_through: Share = Field(
+        0.15, description="Share of a pulse that is left where the ground is recorded, at least."
+    )
+    seen_wire: Share = Field(
+        0.02, description="Share of a pulse that a wire catches where it is recorded, at least."
+    )
+    checkpoints: Checkpoints = Checkpoints()
 
 
 class Delivery(Section):
@@ -288,6 +326,7 @@ class Delivery(Section):
         "channel", description="LAS dimension with the beamlet, from 1."
     )
     scale_m: Positive = Field(0.001, description="Unit of the coordinates [m].")
+    trajectory_hz: Positive = Field(200.0, description="Records of the trajectory [Hz].")
     aoi: bool = Field(False, description="Whether the scene's extent comes as area of interest.")
 
 

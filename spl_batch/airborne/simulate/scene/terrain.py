@@ -17,12 +17,6 @@ from spl_batch.airborne.simulate.scene.ray_trace import (
 )
 from spl_batch.airborne.simulate.scene.scene_file import Scene
 
-APRON_M = 60.0
-"""How far the ground goes on beyond the extent, so that slanted beams meet it [m]."""
-
-WAVE_M = 10.0
-"""Length of waves on water [m]."""
-
 STEEPEST = 0.7
 """Slope times tangent off nadir from which on beams are followed down to the ground."""
 
@@ -33,7 +27,7 @@ def make_ground(scene: Scene, rng: np.random.Generator, lean: float) -> Ground:
     """Ground of a scene; ``lean``: tangent off nadir that no beam exceeds."""
     terrain = scene.terrain
     step = terrain.grid_m
-    apron = math.ceil(APRON_M / step) * step
+    apron = math.ceil(terrain.apron_m / step) * step
     nx, ny = (math.ceil((size + 2 * apron) / step) + 1 for size in scene.extent_m)
     grid = np.array([-apron, -apron, step])
     relief = _smooth_noise(rng, (ny, nx), terrain.wavelength_m / step / 4)
@@ -50,7 +44,7 @@ def make_ground(scene: Scene, rng: np.random.Generator, lean: float) -> Ground:
         rho *= _parcels(scene, (ny, nx), terrain.parcel_m)
     kind = np.full((ny, nx), KIND_GROUND, dtype=np.uint8)
     pond_at = np.zeros((ny, nx), dtype=np.uint8)
-    dry = Ground(z, np.clip(rho, 0.0, 1.0), kind, grid, pond_at, np.zeros((0, 3)))
+    dry = Ground(z, np.clip(rho, 0.0, 1.0), kind, grid, pond_at, np.zeros((0, 4)))
     ground = dry._replace(ponds=_flood(scene, dry))
     rise = max(float(np.abs(np.diff(z, axis=axis)).max(initial=0.0)) for axis in (0, 1))
     return ground._replace(steep_top=float(z.max()) if rise * lean > STEEPEST * step else -math.inf)
@@ -98,10 +92,10 @@ def _smooth_noise(
     return scaled
 
 
-def _waves(scene: Scene, shape: tuple[int, ...]) -> NDArray[np.float64]:
+def _waves(scene: Scene, wavelength_m: float, shape: tuple[int, ...]) -> NDArray[np.float64]:
     """Waves of mean zero and spread one."""
     rng = scene.chance(7)
-    sigma = WAVE_M / scene.terrain.grid_m / 4
+    sigma = wavelength_m / scene.terrain.grid_m / 4
     rough = ndimage.gaussian_filter(rng.standard_normal(shape), sigma, mode="wrap")
     waves: NDArray[np.float64] = (rough - rough.mean()) / max(float(rough.std()), 1e-12)
     return waves
@@ -123,7 +117,7 @@ def _flood(scene: Scene, ground: Ground) -> NDArray[np.float64]:
 
     Clear water shows its bottom, which falls from the shore at the same slope.
     """
-    ponds: list[tuple[float, float, float]] = []
+    ponds: list[tuple[float, ...]] = []
     nodes, step = ground.z.shape, ground.grid[2]
     for water in scene.water:
         polygon = shapely.Polygon(water.ring_m)
@@ -143,7 +137,7 @@ def _flood(scene: Scene, ground: Ground) -> NDArray[np.float64]:
         z[:] = np.minimum(z, level + 0.05 + water.bank_slope * distance)
         z[wet] = level
         if water.waves_m:
-            z[wet] += water.waves_m * _waves(scene, wet.shape)[wet]
+            z[wet] += water.waves_m * _waves(scene, water.wavelength_m, wet.shape)[wet]
         rho[wet], kind[wet] = water.reflectance, KIND_WATER
         if water.depth_m > 0.0:
             shore = distance_to(polygon.exterior, ground.grid, nodes, near)
@@ -151,5 +145,5 @@ def _flood(scene: Scene, ground: Ground) -> NDArray[np.float64]:
             z[deep] = level - np.minimum(water.bank_slope * shore, water.depth_m)[deep]
             rho[deep], kind[deep] = water.bottom_reflectance, KIND_BOTTOM
             pond_at[deep] = len(ponds)
-            ponds.append((level, water.attenuation_per_m, water.reflectance))
-    return np.array(ponds, dtype=np.float64).reshape(-1, 3)
+            ponds.append((level, water.attenuation_per_m, water.reflectance, water.surface_share))
+    return np.array(ponds, dtype=np.float64).reshape(-1, 4)
