@@ -102,6 +102,12 @@ def values_of(name: str, given: ArrayLike, count: int) -> Numbers:
             f"has shape {found.shape}; give {asked.meaning}, one for each of {count} points or for "
             "all",
         )
+    if found.dtype.kind not in "biuf":
+        # None becomes NaN, as in any array of numbers.
+        try:
+            found = found.astype(np.float64)
+        except (TypeError, ValueError) as fault:
+            raise InputError(name, f"holds no numbers; give {asked.meaning}") from fault
     if asked.most is not None:
         # A comparison with NaN is false.
         fits = (found >= 0) & (found <= asked.most)

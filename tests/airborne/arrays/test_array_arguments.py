@@ -114,6 +114,8 @@ def test_expected_noise_elsewhere_needs_beams() -> None:
         ({"xyz": [[0.0, 0.0, 2e7]]}, "point number 0 lies at 0, 0, 2e\\+07"),
         ({"noise_density": -1.0}, "-1 .* 0 to 100"),
         ({"noise_density": [0.1, 0.2]}, r"shape \(2,\)"),
+        ({"noise_density": [None] * len(CLOUD)}, "nan .* 0 to 100"),
+        ({"noise_density": "dense"}, "no numbers; give returns per cubic metre"),
         ({"xyz": CLOUD * [5e-5, 5e-5, 1] + [8.5, 47.3, 0]}, "look like degrees; reproject"),
         ({"gps_time": [0.0, 1.0]}, "gps_time: has shape"),
         ({"gps_time": 0.0}, "11 000 points have the time 0, and no shot has so many"),
