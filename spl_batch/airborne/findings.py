@@ -87,9 +87,10 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "degrees": "the coordinates look like degrees, but the CRS is in metres, so they "
                 "are taken as metres",
                 "wide": "its {points} points span {km:.0f} km; some of them must lie astray, and "
-                "rasters too large for a file leave them out",
+                "of rasters too large for a file the part with most points is made",
                 "far": "{km:.0f} km from the rest of the survey ({main}), farther than its files "
-                "are long ({length_m:.0f} m); rasters too large for a file leave them out",
+                "are long ({length_m:.0f} m); of rasters too large for a file the part with most "
+                "points is made",
                 "astray": "{count:points|lie} up to {km:.1f} km outside the rest, alone in their "
                 "tiles; rasters that reach there are {times:.0f} times as large",
                 "shapes": "{key}: none of its polygons meets the survey: they lie within {shapes}, "

@@ -233,10 +233,19 @@ def test_small_tiles_of_a_large_scene_in_local_metres_are_no_degrees() -> None:
 def test_points_astray_are_few_and_make_rasters_much_larger(
     counts: dict[tuple[int, int], int], found: list[tuple[int, float]]
 ) -> None:
-    workflow = SimpleNamespace(tiling=SimpleNamespace(tile_m=100.0))
-    survey: Any = SimpleNamespace(counts=counts, workflow=workflow)
+    (i, east), (j, north) = ((min(ends), max(ends)) for ends in zip(*counts, strict=True))
+    bounds = [100_000 * i, 100_000 * j, 0, 100_000 * east + 99_999, 100_000 * north + 99_999, 0]
+    survey: Any = SimpleNamespace(counts=counts, bounds=bounds, tile_q=100_000)
     values = [one.values for one in points_astray(survey)]
     assert [(one["count"], one["km"]) for one in values] == found
+
+
+def test_points_on_the_edge_of_the_next_tile_are_not_astray() -> None:
+    counts = {(0, 0): 9_000, (1, 0): 5, (0, 1): 4}
+    survey: Any = SimpleNamespace(
+        counts=counts, bounds=[0, 0, 0, 100_000, 100_000, 0], tile_q=100_000
+    )
+    assert not [*points_astray(survey)]
 
 
 def test_an_extent_is_in_the_unit_of_the_survey_with_metres_beside() -> None:

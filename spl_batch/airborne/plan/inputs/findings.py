@@ -11,6 +11,7 @@ from spl_batch.airborne.plan.flightlines import FALLBACK_PRF_HZ
 from spl_batch.airborne.plan.inputs.channel_dimension import holds_few, unnamed_channels
 from spl_batch.airborne.plan.inputs.file_positions import THINNEST
 from spl_batch.airborne.plan.survey_ledger import Survey, timeless_sources
+from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.errors import WorkflowError, counted, grouped, merged_faults, named
@@ -121,13 +122,16 @@ def points_astray(survey: Survey) -> Iterator[Finding]:
     typical = float((counts**2).sum() / counts.sum())
     dense = tiles[counts >= THINNEST * typical]
     low, high = dense.min(axis=0), dense.max(axis=0)
-    beyond = np.maximum(low - tiles, tiles - high).max(axis=1)
-    area = [np.prod(np.ptp(some, axis=0) + 1) for some in (tiles, dense)]
-    if area[0] > 2 * area[1]:
+    beyond = np.any((tiles < low) | (tiles > high), axis=1)
+    # Points on the edge of a tile reach no farther than that.
+    west, south, _, east, north, _ = survey.bounds
+    ends = np.array([(west, south), (east + 1, north + 1)])
+    held = np.clip(np.array([low, high + 1]) * survey.tile_q, *ends)
+    times = float(np.prod(np.diff(ends, axis=0) / np.diff(held, axis=0)))
+    if times > 2.0:
         values = {
-            "kind": "astray", "count": int(counts[beyond > 0].sum()),
-            "km": float(beyond.max() * survey.workflow.tiling.tile_m / 1000),
-            "times": float(area[0] / area[1]),
+            "kind": "astray", "count": int(counts[beyond].sum()),
+            "km": float(np.abs(ends - held).max() * QUANTUM_M / 1000), "times": times,
         }  # fmt: skip
         yield Finding("I05", values)
 
