@@ -17,13 +17,14 @@ from spl_batch.airborne.simulate import (
 )
 from spl_batch.airborne.simulate.brightness import physical_noise
 from spl_batch.airborne.simulate.scene import beam_layers, ray_trace
+from spl_batch.airborne.simulate.scene.landscape import Building, Wires
 from spl_batch.airborne.simulate.scene.layout import (
     building_solid,
     catenary,
     lay_out,
     tower_solid,
 )
-from spl_batch.airborne.simulate.scene.scene_file import Building, Wires, parse_scene
+from spl_batch.airborne.simulate.scene.scene_file import parse_scene
 from spl_batch.errors import WorkflowError
 from spl_batch.numerics import attitude
 

@@ -9,6 +9,7 @@ import shapely
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from spl_batch.airborne.simulate.scene.landscape import Bridge, Building, Wires
 from spl_batch.airborne.simulate.scene.ray_trace import (
     KIND_OTHER,
     KIND_ROOF,
@@ -16,7 +17,7 @@ from spl_batch.airborne.simulate.scene.ray_trace import (
     SceneArrays,
     bilinear,
 )
-from spl_batch.airborne.simulate.scene.scene_file import Bridge, Building, Scene, Wires
+from spl_batch.airborne.simulate.scene.scene_file import Scene
 from spl_batch.airborne.simulate.scene.terrain import make_ground
 
 CELL_M = 4.0
