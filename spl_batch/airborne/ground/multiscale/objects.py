@@ -6,8 +6,8 @@ round, a deck on its two long sides, and both go; a terrace steps down on one si
 on to it on the others, and a hillside steps down as often as up: they stay.
 
 Nodes are joined by a triangulation. Two of them are *linked* the more, the less one is above the
-other, and step down from :data:`STEP_M` on, both beyond what the ground's slope gives between them. A
-step counts by exp(-(distance / :data:`.PLANE_M`)^2).
+other, and step down from :data:`STEP_M` on, both beyond what the ground's slope gives between them;
+a step counts by exp(-(distance / :data:`.PLANE_M`)^2).
 Of all sets of nodes those are objects whose steps down, less those up and less the nodes that the
 opening left, count for more than the links to all others, a step for :data:`SHARE` of a level link.
 The set that gains most is a minimum cut [Greig, Porteous & Seheult 1989]: no patch has to be marked
